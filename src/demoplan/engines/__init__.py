@@ -1,0 +1,1 @@
+"""What runs: Fast Downward and MuJoCo."""

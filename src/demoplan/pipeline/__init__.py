@@ -1,0 +1,1 @@
+"""Arrangements of calls: what a command or a flow runs. No logic of its own."""

@@ -1,0 +1,1 @@
+"""Tables and domain versions on disk, by content."""

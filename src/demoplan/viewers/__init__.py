@@ -1,0 +1,1 @@
+"""What shows: rerun recordings and the HTML report."""
