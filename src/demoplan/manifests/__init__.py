@@ -1,1 +1,1 @@
-"""What people write: datasets, mappings and vocabularies, parsed from text into values that cannot be wrong."""
+"""What people write: datasets, mappings and vocabularies, from text into values that cannot be wrong."""

@@ -1,10 +1,14 @@
 """A dataset: its episodes, and what is known of each."""
 
+from collections import Counter
+from pathlib import Path, PurePosixPath
 from typing import Annotated
 
 from pydantic import Field
 
-from demoplan.manifests.mapping import Mapping, Strict
+from demoplan.errors import ManifestError
+from demoplan.manifests.loading import load_yaml
+from demoplan.manifests.mapping import BodiesTopic, Mapping, Strict, TransformsTopic
 
 SafeName = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,127}$")]
 
@@ -47,5 +51,56 @@ class Dataset(Strict):
     """Clock on to which everything is resampled [Hz]."""
     mapping: Mapping
     episodes: tuple[Episode, ...]
-    splits: dict[str, tuple[str, ...]] = {}
+    splits: dict[str, tuple[str, ...]] = Field(default={})
     """Named sets of episode ids."""
+
+
+def parse_dataset(text: str, path: Path | str) -> Dataset:
+    """The dataset that a ``dataset.yaml`` describes, checked beyond its form.
+
+    Args:
+        text: Content of the file.
+        path: Where it comes from, for messages.
+
+    Raises:
+        ManifestError: If its form is wrong, an episode id is used twice, a path leaves the root, a topic
+            feeds an entity that is not listed, or a split names an episode that does not exist.
+    """
+    dataset = load_yaml(text, path, Dataset)
+    lines = text.splitlines()
+
+    def refuse(problem: str, word: str) -> ManifestError:
+        line = next((number for number, line in enumerate(lines, 1) if word in line), None)
+        return ManifestError(path, line, problem)
+
+    ids = [episode.id for episode in dataset.episodes]
+    for name, count in Counter(ids).items():
+        if count > 1:
+            raise refuse(f"episode id {name!r} is used {count} times", name)
+    for episode in dataset.episodes:
+        for file in filter(None, (episode.file, episode.labels)):
+            if PurePosixPath(file).is_absolute() or ".." in PurePosixPath(file).parts or "\\" in file:
+                raise refuse(
+                    f"episode {episode.id!r}: file {file!r} leaves the dataset's root; "
+                    "give a path below it, without '..'",
+                    file,
+                )
+    entities = dataset.mapping.entities
+    for topic_name, topic in dataset.mapping.topics.items():
+        fed = topic.entities.values() if isinstance(topic, TransformsTopic | BodiesTopic) else (topic.entity,)
+        for entity in fed:
+            if entity not in entities:
+                raise refuse(
+                    f"topic {topic_name!r} feeds entity {entity!r}, which mapping.entities does not list; "
+                    f"listed: {', '.join(sorted(entities))}",
+                    entity,
+                )
+    for split, members in dataset.splits.items():
+        for member in members:
+            if member not in ids:
+                raise refuse(
+                    f"split {split!r} names episode {member!r}, which does not exist; "
+                    f"episodes: {', '.join(ids)}",
+                    split,
+                )
+    return dataset

@@ -13,7 +13,11 @@ class Frames(dy.Schema):
     entity = dy.String(primary_key=True, description="Hand or object instance")
     tick_ns = dy.Int64(primary_key=True, description="Tick of the episode clock", metadata={"unit": "ns"})
     position_xyz_m = dy.Array(
-        dy.Float64(nullable=True), 3, nullable=True, description="Position in the world", metadata={"unit": "m"}
+        dy.Float64(nullable=True),
+        3,
+        nullable=True,
+        description="Position in the world",
+        metadata={"unit": "m"},
     )
     orientation_wxyz = dy.Array(
         dy.Float64(nullable=True), 4, nullable=True, description="Unit quaternion, body to world"

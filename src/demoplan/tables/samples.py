@@ -28,7 +28,11 @@ class Samples(dy.Schema):
         nullable=True, description="When it was measured, if it has a header", metadata={"unit": "ns"}
     )
     position_xyz_m = dy.Array(
-        dy.Float64(nullable=True), 3, nullable=True, description="Position in reference", metadata={"unit": "m"}
+        dy.Float64(nullable=True),
+        3,
+        nullable=True,
+        description="Position in reference",
+        metadata={"unit": "m"},
     )
     orientation_wxyz = dy.Array(
         dy.Float64(nullable=True),
