@@ -41,7 +41,7 @@ class Samples(dy.Schema):
         description="Orientation in reference, as recorded (not normalised)",
     )
     grip = dy.Float64(nullable=True, description="Opening of the hand: 0 closed, 1 open")
-    is_valid = dy.Bool(description="The source itself says that the reading is valid")
+    is_tracked = dy.Bool(description="The reading is finite, and its source says that it is valid")
 
     @dy.rule()
     def group_matches_kind(cls) -> pl.Expr:  # noqa: N805
