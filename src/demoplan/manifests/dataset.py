@@ -32,6 +32,16 @@ class Episode(Strict):
     """What the demonstration was to reach, as goal text."""
 
 
+class Goal(Strict):
+    """A goal that the learned domains are tried on."""
+
+    name: SafeName
+    goal: str
+    """Goal text, as ``onTop(cube_red,cube_blue) & onTop(cube_blue,cube_green)``."""
+    start: str | None = None
+    """``EPISODE@start``, ``EPISODE@end`` or ``EPISODE@12.5`` [s]; by default the first episode's start."""
+
+
 class Dataset(Strict):
     """Episodes, mapping, vocabulary and splits."""
 
@@ -51,6 +61,7 @@ class Dataset(Strict):
     """Clock on to which everything is resampled [Hz]."""
     mapping: Mapping
     episodes: tuple[Episode, ...]
+    goals: tuple[Goal, ...] = ()
     splits: dict[str, tuple[str, ...]] = Field(default={})
     """Named sets of episode ids."""
 
