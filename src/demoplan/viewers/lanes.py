@@ -1,0 +1,158 @@
+"""Activities, facts, evidence and signals to lanes, charts and notes along the time axis."""
+
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+import polars as pl
+
+from demoplan.geometry import Array
+from demoplan.viewers import colours
+from demoplan.viewers.episode_view import Body, Chart, Curve, Lane, Note, Threshold, Ticks
+from demoplan.viewers.scene import columns_of
+from demoplan.viewers.sources import EpisodeViewParams
+
+
+def _lane(
+    path: tuple[str, ...],
+    spans: Iterable[tuple[int, int, str]],
+    colour_by_state: dict[str, colours.Rgb],
+    label_by_state: dict[str, str] | None = None,
+) -> Lane:
+    """A lane from spans in order; a gap between spans has no state."""
+    ticks: list[int] = []
+    states: list[str | None] = []
+    last_end: int | None = None
+    for start, end, state in spans:
+        if last_end is not None and start > last_end:
+            ticks.append(last_end)
+            states.append(None)
+        ticks.append(start)
+        states.append(state)
+        last_end = end
+    if last_end is not None:
+        ticks.append(last_end)
+        states.append(None)
+    used = {state for state in states if state is not None}
+    return Lane(
+        path=path,
+        ticks_ns=np.array(ticks, dtype=np.int64),
+        states=tuple(states),
+        colours=tuple(sorted((state, colour_by_state[state]) for state in used)),
+        labels=()
+        if label_by_state is None
+        else tuple(sorted((state, label_by_state[state]) for state in used)),
+    )
+
+
+def hand_lanes_of(
+    activities: pl.DataFrame | None, truth: pl.DataFrame | None, evidence: pl.DataFrame | None
+) -> tuple[Lane, ...]:
+    """Per hand: what was inferred, beneath it what is true, beneath that the operators that matched."""
+    lanes = []
+    hands: set[str] = set()
+    for table in (activities, truth, evidence):
+        if table is not None:
+            hands |= set(table["hand"].unique())
+    for hand in sorted(hands):
+        for title, table in (("1_inferred", activities), ("2_true", truth)):
+            if table is None:
+                continue
+            rows = table.filter(pl.col("hand") == hand).sort("start_ns")
+            shown = [
+                (start, end, name if thing is None else f"{name} {thing}", name)
+                for start, end, name, thing in zip(
+                    rows["start_ns"], rows["end_ns"], rows["activity"], rows["acted_on"], strict=True
+                )
+            ]
+            if shown:
+                by_state = {state: colours.activity_colour(name) for *_, state, name in shown}
+                lanes.append(_lane((hand, title), ((s, e, state) for s, e, state, _ in shown), by_state))
+        if evidence is not None:
+            rows = evidence.filter(pl.col("hand") == hand).sort("start_ns", "operator")
+            # One activity may support an operator and its quarantined sibling: the first by name is shown.
+            rows = rows.unique("start_ns", keep="first", maintain_order=True)
+            if not rows.is_empty():
+                spans = list(zip(rows["start_ns"], rows["end_ns"], rows["operator"], strict=True))
+                by_state = {name: colours.operator_colour(name) for name in rows["operator"].unique()}
+                lanes.append(_lane((hand, "3_operator"), spans, by_state))
+    return tuple(lanes)
+
+
+def fact_lanes_of(facts: pl.DataFrame | None) -> tuple[Lane, ...]:
+    """A lane per atom that ever held or could not be observed, grouped by predicate."""
+    if facts is None:
+        return ()
+    lanes = []
+    rows = facts.sort("predicate", "arguments", "start_ns")
+    for (predicate, arguments), part in rows.group_by("predicate", "arguments", maintain_order=True):
+        by_state = {"true": colours.colour_of(str(predicate)), "unknown": colours.UNKNOWN}
+        spans = zip(part["start_ns"], part["end_ns"], part["value"].cast(pl.String), strict=True)
+        path = (str(predicate), *map(str, arguments))
+        # The lane is named after its atom: a stretch of colour says enough, one without sight says so.
+        lanes.append(_lane(path, spans, by_state, {"true": " ", "unknown": "not observed"}))
+    return tuple(lanes)
+
+
+def speeds(ticks_ns: Ticks, positions_xyz_m: Array, window_ns: int) -> Array:
+    """Speeds ``(n,)`` [m/s] by central differences over a window; NaN where either end is not seen.
+
+    Args:
+        ticks_ns: ``(n,)`` evenly spaced ticks.
+        positions_xyz_m: ``(n, 3)``; NaN where not seen.
+        window_ns: Width of the difference [ns]; at least two ticks are taken.
+    """
+    if len(ticks_ns) < 2:
+        return np.full(len(ticks_ns), np.nan)
+    step = max(1, int(ticks_ns[1] - ticks_ns[0]))
+    half = max(1, round(window_ns / step / 2))
+    index = np.arange(len(ticks_ns))
+    low = np.clip(index - half, 0, None)
+    high = np.clip(index + half, None, len(ticks_ns) - 1)
+    away = np.linalg.norm(positions_xyz_m[high] - positions_xyz_m[low], axis=1)
+    result: Array = away / ((ticks_ns[high] - ticks_ns[low]) * 1e-9)
+    return result
+
+
+def charts_of(
+    hands: Sequence[Body],
+    tracks: dict[str, pl.DataFrame],
+    thresholds: Sequence[Threshold],
+    params: EpisodeViewParams,
+) -> tuple[Chart, ...]:
+    """Speed of every hand; grip of those that have one."""
+    speed, grip = [], []
+    for body in hands:
+        track = tracks[body.entity.name]
+        ticks = track["tick_ns"].to_numpy()
+        values = speeds(ticks, columns_of(track["position_xyz_m"], 3), params.speed_window_ns)
+        name, colour = body.entity.name, body.colour
+        speed.append(Curve(name=name, unit="m/s", colour=colour, ticks_ns=ticks, values=values))
+        if body.grips is not None:
+            openings = track["grip"].to_numpy().astype(np.float64)
+            grip.append(Curve(name=name, unit="1", colour=colour, ticks_ns=ticks, values=openings))
+    charts = (("speed", "Hand speed [m/s]", speed), ("grip", "Grip [0 closed, 1 open]", grip))
+    return tuple(
+        Chart(
+            name=name,
+            title=title,
+            curves=tuple(curves),
+            thresholds=tuple(threshold for threshold in thresholds if threshold.quantity == name),
+        )
+        for name, title, curves in charts
+        if curves
+    )
+
+
+def notes_of(evidence: pl.DataFrame | None) -> tuple[Note, ...]:
+    """One line per matched operator: its binding, and what this demonstration did not show."""
+    if evidence is None:
+        return ()
+    return tuple(
+        Note(
+            tick_ns=row["start_ns"],
+            text=f"{row['operator']}({', '.join(row['binding'])})"
+            + (f"  but not {', '.join(row['contradicts'])}" if row["contradicts"] else ""),
+            colour=colours.operator_colour(row["operator"]),
+        )
+        for row in evidence.sort("start_ns", "hand", "operator").iter_rows(named=True)
+    )

@@ -1,0 +1,97 @@
+"""What an episode view is made from: tables, entities with their shapes, thresholds and choices."""
+
+from dataclasses import dataclass
+
+import dataframely as dy
+
+from demoplan.language.vocabulary import Shape, Vocabulary
+from demoplan.manifests.mapping import Mapping
+from demoplan.tables import Activities, Episodes, Evidence, Facts, Frames
+from demoplan.viewers.episode_view import Entity, Threshold
+
+
+@dataclass(frozen=True, kw_only=True)
+class EpisodeViewParams:
+    """What can be chosen about an episode view."""
+
+    trail_ns: int = 1_500_000_000
+    """How far back a hand's trail shows [ns]."""
+    trail_step_ns: int = 20_000_000
+    """Shortest stretch of a trail that is drawn as one line [ns]."""
+    contact_step_ns: int = 40_000_000
+    """How often contact lines are redrawn [ns]."""
+    contact_predicate: str = "inTouch"
+    """Binary predicate whose atoms are drawn as lines."""
+    speed_window_ns: int = 100_000_000
+    """Width of the central difference that gives a hand's speed [ns]."""
+    surface_extent_m: float = 0.3
+    """A contact with a body wider than this is drawn to its nearest point, not to its middle [m]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class EpisodeTables:
+    """What is known of an episode. Tables may hold other episodes too; their rows are left out.
+
+    ``truth`` has the form of activities; ``evidence`` says which operator each activity matched.
+    """
+
+    episode_id: str
+    frames: dy.DataFrame[Frames]
+    entities: tuple[Entity, ...]
+    episodes: dy.DataFrame[Episodes] | None = None
+    facts: dy.DataFrame[Facts] | None = None
+    activities: dy.DataFrame[Activities] | None = None
+    truth: dy.DataFrame[Activities] | None = None
+    evidence: dy.DataFrame[Evidence] | None = None
+    thresholds: tuple[Threshold, ...] = ()
+
+
+def entities_of(mapping: Mapping, vocabulary: Vocabulary) -> tuple[Entity, ...]:
+    """The mapping's instances with their types and extents, sorted by name.
+
+    An instance takes its own shape, else its type's, else its nearest ancestor's, else it is a point. Hands
+    and surfaces are what stands below the types ``Hand`` and ``Surface``, where the vocabulary has them.
+    """
+    shapes = dict(vocabulary.shapes)
+    types = vocabulary.types
+
+    def shape_of(type_name: str) -> Shape:
+        for ancestor in types.ancestors(type_name):
+            if ancestor in shapes:
+                return shapes[ancestor]
+        return Shape("point", (0.0, 0.0, 0.0))
+
+    def is_a(type_name: str, family: str) -> bool:
+        return family in types.ancestors(type_name)
+
+    return tuple(
+        Entity(
+            name=name,
+            type_name=entity.type,
+            shape=(
+                shape_of(entity.type)
+                if entity.shape is None
+                else Shape(entity.shape.kind, entity.shape.size_xyz_m, entity.shape.centre_xyz_m)
+            ),
+            is_hand=is_a(entity.type, "Hand"),
+            is_surface=is_a(entity.type, "Surface"),
+            fixed_position_xyz_m=None if entity.fixed is None else entity.fixed.position_xyz_m,
+            fixed_orientation_wxyz=(1.0, 0.0, 0.0, 0.0)
+            if entity.fixed is None
+            else entity.fixed.orientation_wxyz,
+        )
+        for name, entity in sorted(mapping.entities.items())
+    )
+
+
+def thresholds_of(vocabulary: Vocabulary) -> tuple[Threshold, ...]:
+    """The vocabulary's numbers that a hand's speed or grip is compared with, in its order."""
+    found = []
+    for rule in vocabulary.predicates:
+        if len(rule.signature.argument_types) != 1:
+            continue
+        for name, value in rule.numbers:
+            quantity = "speed" if "m_per_s" in name else "grip" if "grip" in name else None
+            if quantity is not None:
+                found.append(Threshold(quantity=quantity, name=f"{rule.signature.name}.{name}", value=value))
+    return tuple(found)
