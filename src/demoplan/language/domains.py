@@ -40,12 +40,17 @@ class Operator:
 
 @dataclass(frozen=True)
 class Domain:
-    """What a planner may do: types, predicates and operators. ``operators`` are sorted by name."""
+    """What a planner may do: types, predicates and operators.
+
+    ``predicates`` and ``operators`` are sorted by name. ``constants`` holds (instance, type) pairs, sorted:
+    the objects that operators themselves name, and that every problem has.
+    """
 
     name: str
     types: TypeHierarchy
     predicates: tuple[Signature, ...]
     operators: tuple[Operator, ...]
+    constants: tuple[tuple[str, str], ...] = ()
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,26 @@
+"""Fast Downward, run as separate programs and never imported: it is GPL, and we are not."""
+
+from demoplan.engines.fast_downward.installation import Installation, find_installation
+from demoplan.engines.fast_downward.searches import FIRST, OPTIMAL, Search
+from demoplan.engines.fast_downward.solve import (
+    Attempt,
+    SolveParams,
+    TextAnswer,
+    plan_rows,
+    solve,
+    solve_text,
+)
+
+__all__ = [
+    "FIRST",
+    "OPTIMAL",
+    "Attempt",
+    "Installation",
+    "Search",
+    "SolveParams",
+    "TextAnswer",
+    "find_installation",
+    "plan_rows",
+    "solve",
+    "solve_text",
+]
