@@ -20,11 +20,13 @@ from demoplan.geometry.rotations import (
     slerp,
 )
 from demoplan.geometry.solids import SOLID_KINDS, Solid, heights, surface_distances, top_beneath
-from demoplan.geometry.switching import hysteresis, run_lengths, without_short_runs
+from demoplan.geometry.switching import Bools, Codes, hysteresis, run_lengths, without_short_runs
 
 __all__ = [
     "SOLID_KINDS",
     "Array",
+    "Bools",
+    "Codes",
     "Solid",
     "compose",
     "conjugate",

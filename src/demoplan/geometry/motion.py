@@ -26,14 +26,14 @@ def velocities(positions_xyz_m: Array, tick_s: float, window_s: float) -> Array:
         ``(..., n, 3)``; NaN where fewer than two readings lie within the window.
     """
     half = max(1, round(window_s / tick_s / 2))
-    offsets: Array = np.arange(-half, half + 1).astype(np.float64)
-    squares: Array = np.asarray(offsets**2)
+    offsets: Array = np.arange(-half, half + 1, dtype=np.float64)
+    squares: Array = np.asarray(offsets**2, dtype=np.float64)
     ones: Array = np.ones(len(offsets))
     is_seen = np.isfinite(positions_xyz_m).all(axis=-1, keepdims=True)
     # Far from the origin the sums would cancel: fit about the first reading of each point.
-    filled = np.where(is_seen, positions_xyz_m, 0.0)
+    filled: Array = np.where(is_seen, positions_xyz_m, 0.0)
     n_seen = np.maximum(is_seen.sum(axis=-2, keepdims=True), 1)
-    filled = np.where(is_seen, filled - filled.sum(axis=-2, keepdims=True) / n_seen, 0.0)
+    filled = np.asarray(np.where(is_seen, filled - filled.sum(axis=-2, keepdims=True) / n_seen, 0.0))
     seen: Array = is_seen.astype(np.float64)
 
     def windowed(values: Array, weights: Array) -> Array:

@@ -36,7 +36,7 @@ def multiply(left_wxyz: Array, right_wxyz: Array) -> Array:
 
 def conjugate(quaternions_wxyz: Array) -> Array:
     """Inverse rotations ``(n, 4)`` of unit quaternions."""
-    return quaternions_wxyz * np.array([1.0, -1.0, -1.0, -1.0])
+    return np.asarray(quaternions_wxyz * np.array([1.0, -1.0, -1.0, -1.0]))
 
 
 def rotate(quaternions_wxyz: Array, vectors_xyz: Array) -> Array:

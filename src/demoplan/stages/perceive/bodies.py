@@ -1,0 +1,136 @@
+"""What is known of every body of one episode at every tick, in the form that definitions ask for it."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+import polars as pl
+from numpy.typing import NDArray
+
+from demoplan.errors import DataError, UnknownNameError
+from demoplan.geometry import Array, Bools, Solid, surface_distances, velocities
+from demoplan.language.vocabulary import Shape, Vocabulary
+from demoplan.manifests.mapping import Entity
+
+_POINT = Shape("point", (0.0, 0.0, 0.0))
+
+
+@dataclass(frozen=True, eq=False)
+class Bodies:
+    """Bodies of one episode, by number; ``e`` bodies, ``n`` ticks. NaN where nothing was seen."""
+
+    names: tuple[str, ...]
+    """In order."""
+    types: tuple[str, ...]
+    is_fixed: tuple[bool, ...]
+    """Whether the mapping fixes the pose, as a table's."""
+    solids: tuple[Solid, ...]
+    tick_ns: NDArray[np.int64]
+    """``(n,)``"""
+    tick_s: float
+    """Seconds between ticks."""
+    position_xyz_m: Array
+    """Tracked origins ``(e, n, 3)``."""
+    orientation_wxyz: Array
+    """``(e, n, 4)``"""
+    grip: Array
+    """Openings of hands ``(e, n)``."""
+    velocity_window_s: float
+    """Window of every velocity."""
+    _distances: dict[tuple[int, int], tuple[float, Array]] = field(default_factory=dict, repr=False)
+
+    @cached_property
+    def is_seen(self) -> Bools:
+        """Whether the pose is known ``(e, n)``."""
+        return np.asarray(np.isfinite(self.position_xyz_m).all(axis=-1))
+
+    @cached_property
+    def velocity(self) -> Array:
+        """Velocities of the tracked origins [m/s] ``(e, n, 3)``."""
+        return velocities(self.position_xyz_m, self.tick_s, self.velocity_window_s)
+
+    @cached_property
+    def speed(self) -> Array:
+        """Speeds [m/s] ``(e, n)``; NaN where the pose is not known."""
+        return np.where(self.is_seen, np.linalg.norm(self.velocity, axis=-1), np.nan)
+
+    def slope(self, values: Array) -> Array:
+        """Change per second of values ``(…, n)``, over the window of every velocity."""
+        return velocities(values[..., None], self.tick_s, self.velocity_window_s)[..., 0]
+
+    def distance(self, one: int, other: int, exact_below_m: float = np.inf) -> Array:
+        """Surface distances [m] ``(n,)`` of two bodies; see :func:`demoplan.geometry.surface_distances`."""
+        pair = (min(one, other), max(one, other))
+        known_below_m, known = self._distances.get(pair, (-np.inf, None))
+        if known is None or known_below_m < exact_below_m:
+            known = surface_distances(self.solids[pair[0]], self.solids[pair[1]], exact_below_m)
+            self._distances[pair] = (exact_below_m, known)
+        return known
+
+
+def bodies_of(
+    frames: pl.DataFrame,
+    entities: Mapping[str, Entity],
+    vocabulary: Vocabulary,
+    velocity_window_s: float,
+) -> Bodies:
+    """The bodies of one episode's frames.
+
+    Raises:
+        DataError: If an entity of the frames has no type, or lacks ticks that others have.
+        UnknownNameError: If a type is not in the vocabulary.
+    """
+    names = tuple(frames["entity"].unique().sort().to_list())
+    for name in names:
+        if name not in entities:
+            raise UnknownNameError("entity", name, entities, "the mapping: an object without a type")
+        vocabulary.types.require(entities[name].type)
+    n = len(frames) // max(len(names), 1)
+    ticks = frames["tick_ns"].to_numpy()
+    if len(frames) != n * len(names) or not np.array_equal(np.tile(ticks[:n], len(names)), ticks):
+        raise DataError(
+            f"frames of episode {frames['episode_id'][0]!r} are not a full grid in order of entity and tick: "
+            f"{len(frames)} rows for {len(names)} entities; frames come from align"
+        )
+    positions = _matrix(frames["position_xyz_m"], len(names), n, 3)
+    orientations = _matrix(frames["orientation_wxyz"], len(names), n, 4)
+    grips = frames["grip"].cast(pl.Float64).to_numpy().astype(np.float64).reshape(len(names), n)
+    return Bodies(
+        names=names,
+        types=tuple(entities[name].type for name in names),
+        is_fixed=tuple(entities[name].fixed is not None for name in names),
+        solids=tuple(
+            _solid(shape_of(entities[name], vocabulary), positions[row], orientations[row])
+            for row, name in enumerate(names)
+        ),
+        tick_ns=ticks[:n],
+        tick_s=float(ticks[1] - ticks[0]) / 1e9 if n > 1 else 0.01,
+        position_xyz_m=positions,
+        orientation_wxyz=orientations,
+        grip=grips,
+        velocity_window_s=velocity_window_s,
+    )
+
+
+def shape_of(entity: Entity, vocabulary: Vocabulary) -> Shape:
+    """An entity's extent: its own, else that of its type or of the nearest ancestor; else a point."""
+    if entity.shape is not None:
+        return Shape(entity.shape.kind, entity.shape.size_xyz_m, entity.shape.centre_xyz_m)
+    shapes = dict(vocabulary.shapes)
+    for name in vocabulary.types.ancestors(entity.type):
+        if name in shapes:
+            return shapes[name]
+    return _POINT
+
+
+def _solid(shape: Shape, positions: Array, orientations: Array) -> Solid:
+    return Solid.placed(
+        shape.kind, np.array(shape.size_xyz_m), np.array(shape.centre_xyz_m), positions, orientations
+    )
+
+
+def _matrix(column: pl.Series, n_bodies: int, n_ticks: int, width: int) -> Array:
+    if column.null_count() == len(column):
+        return np.full((n_bodies, n_ticks, width), np.nan)
+    return np.asarray(column.to_numpy(), np.float64).reshape(n_bodies, n_ticks, width)

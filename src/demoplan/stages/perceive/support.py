@@ -1,0 +1,73 @@
+"""Touching, resting on, and having nothing on top."""
+
+import numpy as np
+
+from demoplan.geometry import heights, top_beneath
+from demoplan.stages.perceive.bodies import Bodies
+from demoplan.stages.perceive.evidence import (
+    FALSE,
+    TRUE,
+    UNKNOWN,
+    Evidence,
+    Groundings,
+    Known,
+    Numbers,
+    stacked,
+)
+
+_SLACK = 1.5
+"""Distances are asked for exactly up to this multiple of the threshold."""
+
+
+def in_touch(bodies: Bodies, groundings: Groundings, numbers: Numbers, _: dict[str, Known]) -> Evidence:
+    """The surfaces of x and y are at most ``enter_m`` apart; it ends beyond ``exit_m``."""
+    parts = []
+    for one, other in groundings:
+        distance = bodies.distance(one, other, numbers["exit_m"] * _SLACK)
+        parts.append((distance <= numbers["enter_m"], distance <= numbers["exit_m"], np.isfinite(distance)))
+    return stacked(parts, len(bodies.tick_ns))
+
+
+def rests_on(bodies: Bodies, groundings: Groundings, numbers: Numbers, _: dict[str, Known]) -> Evidence:
+    """The middle of x is over y, and y's top beneath it is within ``enter_m`` of x's lowest point.
+
+    That is when gravity keeps a rigid x on y: its centre of mass is over its support. A margin of
+    ``footprint_margin_m`` allows for noise at y's edge. Of several bodies that x could rest on, only the
+    uppermost counts; x rests whether or not a hand holds it, and ceases beyond ``exit_m``.
+    """
+    n_ticks = len(bodies.tick_ns)
+    gaps = np.full((len(groundings), n_ticks), np.nan)
+    tops = np.full((len(groundings), n_ticks), -np.inf)
+    observed = np.zeros((len(groundings), n_ticks), np.bool_)
+    for row, (rider, support) in enumerate(groundings):
+        low, _high = heights(bodies.solids[rider])
+        top = top_beneath(
+            bodies.solids[support], bodies.solids[rider].position_xyz_m, numbers["footprint_margin_m"]
+        )
+        gaps[row] = np.abs(low - top)
+        tops[row] = np.where(gaps[row] <= numbers["exit_m"], top, -np.inf)
+        observed[row] = bodies.is_seen[rider] & bodies.is_seen[support]
+    uppermost: dict[int, np.typing.NDArray[np.float64]] = {}
+    for row, (rider, _support) in enumerate(groundings):
+        uppermost[rider] = np.maximum(uppermost.get(rider, np.full(n_ticks, -np.inf)), tops[row])
+    is_uppermost = (
+        np.stack([tops[row] >= uppermost[rider] for row, (rider, _support) in enumerate(groundings)])
+        if groundings
+        else np.zeros((0, n_ticks), np.bool_)
+    )
+    return Evidence(
+        (gaps <= numbers["enter_m"]) & is_uppermost, (gaps <= numbers["exit_m"]) & is_uppermost, observed
+    )
+
+
+def nothing_on(bodies: Bodies, groundings: Groundings, _: Numbers, known: dict[str, Known]) -> Evidence:
+    """No body rests on x: something can be put on it. Unknown where only unseen bodies could."""
+    resting = known["rests_on"]
+    parts = []
+    for (support,) in groundings:
+        riders = [codes for pair, codes in resting.codes.items() if pair[1] == support]
+        all_codes = np.stack(riders) if riders else np.full((1, len(bodies.tick_ns)), FALSE)
+        is_covered = (all_codes == TRUE).any(axis=0)
+        is_open = ~is_covered & ~(all_codes == UNKNOWN).any(axis=0)
+        parts.append((is_open, is_open, is_open | is_covered))
+    return stacked(parts, len(bodies.tick_ns))
