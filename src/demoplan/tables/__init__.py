@@ -1,13 +1,14 @@
 """The declared tables: read these in order to learn the product.
 
 ``samples`` → ``frames`` → ``facts`` → ``activities`` → ``transitions`` → ``operators``, ``literals``,
-``evidence`` → ``plans`` → ``scores``; ``episodes`` and ``topics`` say what was read.
+``evidence`` → ``plans`` → ``scores``, ``confusions``; ``episodes`` and ``topics`` say what was read.
 
 Conventions: plural nouns; ``<thing>_id``; ``n_<things>``; units in names; time is integer nanoseconds,
 intervals are half-open ``[start_ns, end_ns)``; same name, same quantity, same unit in every table.
 """
 
 from demoplan.tables.activities import Activities
+from demoplan.tables.confusions import Confusions
 from demoplan.tables.episodes import Episodes, Topics
 from demoplan.tables.facts import Facts
 from demoplan.tables.frames import Frames
@@ -19,6 +20,7 @@ from demoplan.tables.transitions import Transitions
 
 __all__ = [
     "Activities",
+    "Confusions",
     "Episodes",
     "Evidence",
     "Facts",
