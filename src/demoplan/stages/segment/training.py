@@ -1,0 +1,406 @@
+"""Fitting a segmenter to labelled episodes, and trying it on episodes that it has not seen.
+
+scikit-learn fits; what is kept are arrays (`demoplan.stages.segment.trees`).
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, fields, replace
+from typing import Any, Literal
+
+import dataframely as dy
+import numpy as np
+import polars as pl
+import sklearn
+from numpy.typing import NDArray
+from sklearn.ensemble import ExtraTreesClassifier, HistGradientBoostingClassifier, RandomForestClassifier
+from sklearn.tree import DecisionTreeClassifier
+
+from demoplan import __version__
+from demoplan.errors import DataError, UnknownNameError
+from demoplan.geometry import Array
+from demoplan.ids import ContentHash, content_hash
+from demoplan.language.vocabulary import Vocabulary
+from demoplan.manifests.mapping import Entity
+from demoplan.stages.segment.decoding import grammar_of
+from demoplan.stages.segment.features import FeatureParams, features_of
+from demoplan.stages.segment.model import Segmenter
+from demoplan.stages.segment.segmentation import SegmentParams, segment
+from demoplan.stages.segment.tracks import Tracks, roles_of, tracks_of
+from demoplan.stages.segment.trees import Trees, from_plain
+from demoplan.tables import Activities, Facts, Frames
+
+Method = Literal["decision_tree", "random_forest", "extra_trees", "gradient_boosting"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainParams:
+    """What can be chosen about training."""
+
+    method: Method = "decision_tree"
+    features: FeatureParams = field(default_factory=FeatureParams)
+    segmentation: SegmentParams = field(default_factory=SegmentParams)
+    """How held-out episodes are segmented; in training only its thresholds of motion count."""
+    sample_every_s: float = 0.04
+    """One tick in this time is a training example [s]: neighbours repeat each other."""
+    min_leaf_s: float = 0.6
+    """Every leaf holds at least this much of the demonstrations [s]."""
+    max_leaves: int | None = None
+    """Leaves of one tree; null: as many as ``min_leaf_s`` allows."""
+    n_trees: int = 100
+    """Trees of an ensemble."""
+    grammar_prior: float = 0.5
+    """Pseudo-count of each change of activity that was never shown."""
+    n_variations: int = 4
+    """Copies of each episode at other tempos, sizes and marker places, besides itself."""
+    tempo_spread: float = 0.2
+    """Copies are up to this much slower or faster."""
+    size_spread: float = 0.1
+    """Copies have all distances up to this much larger or smaller."""
+    marker_spread_m: float = 0.03
+    """Copies have the hand's marker displaced by this much in each axis [m] (standard deviation)."""
+    seed: int = 0
+
+
+def train(
+    frames: dy.DataFrame[Frames],
+    facts: dy.DataFrame[Facts],
+    truth: dy.DataFrame[Activities],
+    entities: Mapping[str, Entity],
+    vocabulary: Vocabulary,
+    *,
+    params: TrainParams = TrainParams(),
+) -> Segmenter:
+    """A segmenter fitted to every labelled episode.
+
+    Args:
+        frames: Poses and grips of the episodes.
+        facts: Atoms of the same episodes.
+        truth: True activities; ticks that they do not cover are not learned from.
+        entities: Instances with their types.
+        vocabulary: Hierarchy of types.
+        params: Training choices. The same data, parameters and versions give the same segmenter.
+
+    Raises:
+        DataError: If no labelled tick is found, or only one activity.
+        UnknownNameError: If the method is not known.
+    """
+    examples = _examples(frames, facts, truth, entities, vocabulary, params=params)
+    return _fit(examples, _hash_of(frames, facts, truth), params)
+
+
+def segment_held_out(
+    frames: dy.DataFrame[Frames],
+    facts: dy.DataFrame[Facts],
+    truth: dy.DataFrame[Activities],
+    entities: Mapping[str, Entity],
+    vocabulary: Vocabulary,
+    *,
+    groups: Mapping[str, str],
+    params: TrainParams = TrainParams(),
+) -> dy.DataFrame[Activities]:
+    """Activities of every episode, each by a segmenter that was trained without the episode's group.
+
+    Args:
+        frames: Poses and grips of the episodes.
+        facts: Atoms of the same episodes.
+        truth: True activities.
+        entities: Instances with their types.
+        vocabulary: Hierarchy of types.
+        groups: Episode → group that is left out together: its participant, or the episode itself.
+        params: Training choices.
+
+    Raises:
+        DataError: If there are fewer than two groups, or an episode has none.
+    """
+    examples = _examples(frames, facts, truth, entities, vocabulary, params=params)
+    without = sorted(e.episode_id for e in examples if e.episode_id not in groups)
+    if without:
+        raise DataError(f"no group is given for episodes {without}; every labelled episode needs one")
+    names = sorted({groups[example.episode_id] for example in examples})
+    if len(names) < 2:
+        raise DataError(
+            f"leaving one group out needs two groups of labelled episodes at least; found {names}"
+        )
+    found = []
+    for name in names:
+        kept = [example for example in examples if groups[example.episode_id] != name]
+        left_out = pl.col("episode_id").is_in([e for e, group in groups.items() if group == name])
+        segmenter = _fit(kept, ContentHash(""), params)
+        found.append(
+            segment(
+                Frames.cast(frames.filter(left_out)),
+                Facts.cast(facts.filter(left_out)),
+                entities,
+                vocabulary,
+                segmenter,
+                params=params.segmentation,
+            )
+        )
+    return Activities.validate(pl.concat(found).sort("episode_id", "hand", "start_ns"))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Examples:
+    """What one episode has to teach."""
+
+    episode_id: str
+    feature_names: tuple[str, ...]
+    values: NDArray[np.float32]
+    """``(examples, features)``."""
+    activities: NDArray[np.str_]
+    """``(examples,)``."""
+    sequences: tuple[tuple[str, ...], ...]
+    """Activities of each hand's labelled segments, in order."""
+
+
+def _examples(
+    frames: dy.DataFrame[Frames],
+    facts: dy.DataFrame[Facts],
+    truth: dy.DataFrame[Activities],
+    entities: Mapping[str, Entity],
+    vocabulary: Vocabulary,
+    *,
+    params: TrainParams,
+) -> list[_Examples]:
+    labels_of = {key[0]: group for key, group in truth.group_by("episode_id")}
+    labelled = pl.col("episode_id").is_in(list(labels_of))
+    found = []
+    for index, tracks in enumerate(
+        tracks_of(
+            Frames.cast(frames.filter(labelled)),
+            Facts.cast(facts.filter(labelled)),
+            roles_of(entities, vocabulary),
+            params.segmentation.motion,
+        )
+    ):
+        names, sequences = _labels(tracks, labels_of[tracks.episode_id])
+        # Seeds depend on the episode alone, so that leaving others out does not change its copies.
+        rng = np.random.default_rng([params.seed, index])
+        variants = [tracks, *(_varied(tracks, params, rng) for _ in range(params.n_variations))]
+        stride = max(1, round(params.sample_every_s / tracks.tick_s))
+        values, activities = [], []
+        feature_names: tuple[str, ...] = ()
+        for number, variant in enumerate(variants):
+            features = features_of(variant, params.features)
+            feature_names = features.names
+            phase = number % stride
+            chosen = names[:, phase::stride]
+            known = chosen != ""
+            values.append(features.values[:, phase::stride][known])
+            activities.append(chosen[known])
+        found.append(
+            _Examples(
+                episode_id=tracks.episode_id,
+                feature_names=feature_names,
+                values=np.concatenate(values),
+                activities=np.concatenate(activities),
+                sequences=sequences,
+            )
+        )
+    return found
+
+
+def _labels(tracks: Tracks, truth: pl.DataFrame) -> tuple[NDArray[np.str_], tuple[tuple[str, ...], ...]]:
+    """The true activity of each hand at each tick ``(h, t)``, empty where there is none; and their order."""
+    names = []
+    sequences = []
+    for hand in tracks.hands:
+        rows = truth.filter(pl.col("hand") == hand).sort("start_ns")
+        if not rows.height:
+            names.append(np.full(len(tracks.tick_ns), "", dtype=object))
+            continue
+        activity = np.asarray(rows.get_column("activity").to_list(), dtype=object)
+        found = np.searchsorted(rows.get_column("start_ns").to_numpy(), tracks.tick_ns, side="right") - 1
+        covered = (found >= 0) & (tracks.tick_ns < rows.get_column("end_ns").to_numpy()[np.maximum(found, 0)])
+        names.append(np.where(covered, activity[np.maximum(found, 0)], ""))
+        changed = np.append(True, activity[1:] != activity[:-1])
+        sequences.append(tuple(activity[changed].tolist()))
+    return np.asarray(names).astype(str).reshape(len(tracks.hands), -1), tuple(sequences)
+
+
+def _varied(tracks: Tracks, params: TrainParams, rng: np.random.Generator) -> Tracks:
+    """The same demonstration as somebody else might give it: another tempo, another arm, another marker.
+
+    Mirror images and turns about the vertical need no copies: features do not change under them.
+    """
+    tempo = float(np.exp(rng.uniform(-1.0, 1.0) * np.log1p(params.tempo_spread)))
+    size = float(np.exp(rng.uniform(-1.0, 1.0) * np.log1p(params.size_spread)))
+    shift_m = rng.normal(0.0, params.marker_spread_m, size=(len(tracks.hands), 1, 3))
+    clock = tracks.tick_ns - tracks.tick_ns[0]
+    return replace(
+        tracks,
+        tick_ns=tracks.tick_ns[0] + np.round(clock * tempo).astype(np.int64),
+        hand_position_m=tracks.hand_position_m * size + shift_m,
+        object_position_m=tracks.object_position_m * size,
+    )
+
+
+def _fit(examples: list[_Examples], training_hash: ContentHash, params: TrainParams) -> Segmenter:
+    if not examples or not sum(len(example.values) for example in examples):
+        raise DataError("no labelled ticks: training needs frames and true activities of the same episodes")
+    names, target = np.unique(np.concatenate([e.activities for e in examples]), return_inverse=True)
+    if len(names) < 2:
+        raise DataError(f"only one activity is labelled: {names[0]!r}; training needs two at least")
+    values = np.concatenate([example.values for example in examples])
+    # Every activity counts alike, however long it lasts.
+    weight = (len(target) / (len(names) * np.bincount(target)))[target]
+    n_least = max(1, round(params.min_leaf_s / params.sample_every_s * (1 + params.n_variations)))
+    fit = _METHODS.get(params.method)
+    if fit is None:
+        raise UnknownNameError("segmenter method", params.method, _METHODS)
+    code = {name: index for index, name in enumerate(names.tolist())}
+    sequences = [
+        np.asarray([code[name] for name in sequence if name in code])
+        for example in examples
+        for sequence in example.sequences
+    ]
+    return Segmenter(
+        method=params.method,
+        activities=tuple(names.tolist()),
+        feature_names=examples[0].feature_names,
+        feature_params=params.features,
+        trees=fit(values, target, weight, n_least, params),
+        grammar=grammar_of([s for s in sequences if len(s)], len(names), params.grammar_prior),
+        training_hash=training_hash,
+        training_episodes=tuple(example.episode_id for example in examples),
+        options=tuple(
+            (option.name, str(getattr(params, option.name)))
+            for option in sorted(fields(params), key=lambda option: option.name)
+            if option.name not in ("features", "segmentation", "method")
+        ),
+        versions=(
+            ("demoplan", __version__),
+            ("numpy", np.__version__),
+            ("scikit-learn", sklearn.__version__),
+        ),
+    )
+
+
+def _fit_tree(
+    values: NDArray[np.float32], target: NDArray[np.int64], weight: Array, n_least: int, params: TrainParams
+) -> Trees:
+    model = DecisionTreeClassifier(
+        min_samples_leaf=n_least, max_leaf_nodes=params.max_leaves, random_state=params.seed
+    )
+    model.fit(values, target, sample_weight=weight)
+    return trees_of([model], values.shape[1])
+
+
+def _fit_random_forest(
+    values: NDArray[np.float32], target: NDArray[np.int64], weight: Array, n_least: int, params: TrainParams
+) -> Trees:
+    model = RandomForestClassifier(
+        n_estimators=params.n_trees,
+        min_samples_leaf=max(1, n_least // 4),
+        max_features=0.2,
+        max_leaf_nodes=params.max_leaves,
+        random_state=params.seed,
+    )
+    model.fit(values, target, sample_weight=weight)
+    return trees_of(model.estimators_, values.shape[1])
+
+
+def _fit_extra_trees(
+    values: NDArray[np.float32], target: NDArray[np.int64], weight: Array, n_least: int, params: TrainParams
+) -> Trees:
+    model = ExtraTreesClassifier(
+        n_estimators=params.n_trees,
+        min_samples_leaf=max(1, n_least // 4),
+        max_features=0.3,
+        max_leaf_nodes=params.max_leaves,
+        random_state=params.seed,
+    )
+    model.fit(values, target, sample_weight=weight)
+    return trees_of(model.estimators_, values.shape[1])
+
+
+def _fit_boosting(
+    values: NDArray[np.float32], target: NDArray[np.int64], weight: Array, n_least: int, params: TrainParams
+) -> Trees:
+    model = HistGradientBoostingClassifier(
+        max_iter=params.n_trees,
+        max_leaf_nodes=params.max_leaves or 15,
+        min_samples_leaf=n_least,
+        early_stopping=False,
+        random_state=params.seed,
+    )
+    model.fit(values, target, sample_weight=weight)
+    return boosted_trees_of(model, values.shape[1])
+
+
+_METHODS: dict[str, Callable[[NDArray[np.float32], NDArray[np.int64], Array, int, TrainParams], Trees]] = {
+    "decision_tree": _fit_tree,
+    "random_forest": _fit_random_forest,
+    "extra_trees": _fit_extra_trees,
+    "gradient_boosting": _fit_boosting,
+}
+
+
+def trees_of(models: list[DecisionTreeClassifier], n_features: int) -> Trees:
+    """The trees of fitted scikit-learn classifiers, as arrays."""
+    parts = []
+    for model in models:
+        tree = model.tree_
+        is_leaf = tree.children_left < 0
+        parts.append(
+            (
+                np.where(is_leaf, -1, tree.feature),
+                tree.threshold,
+                tree.children_left,
+                tree.children_right,
+                tree.value[:, 0],
+            )
+        )
+    n_classes = parts[0][4].shape[1]
+    return _joined("mean", parts, np.zeros(n_classes), n_features)
+
+
+def boosted_trees_of(model: HistGradientBoostingClassifier, n_features: int) -> Trees:
+    """The trees of a fitted scikit-learn gradient boosting classifier, as arrays."""
+    n_classes = len(model.classes_)
+    per_round = 1 if n_classes == 2 else n_classes
+    parts = []
+    for predictors in model._predictors:
+        for column, predictor in enumerate(predictors):
+            nodes = predictor.nodes
+            is_leaf = nodes["is_leaf"].astype(bool)
+            value = np.zeros((len(nodes), n_classes))
+            value[:, column if per_round > 1 else 1] = nodes["value"]
+            parts.append(
+                (
+                    np.where(is_leaf, -1, nodes["feature_idx"].astype(np.int64)),
+                    nodes["num_threshold"],
+                    nodes["left"].astype(np.int64),
+                    nodes["right"].astype(np.int64),
+                    value,
+                )
+            )
+    baseline = np.zeros(n_classes)
+    baseline[-per_round:] = np.ravel(model._baseline_prediction)
+    return _joined("softmax", parts, baseline, n_features)
+
+
+def _joined(link: str, parts: list[tuple[Any, ...]], baseline: Array, n_features: int) -> Trees:
+    """Trees in one set of arrays; thresholds of boosting that are infinite become the largest number."""
+    sizes = [len(part[0]) for part in parts]
+    offsets = np.concatenate(([0], np.cumsum(sizes)[:-1]))
+    feature = np.concatenate([part[0] for part in parts])
+    is_leaf = feature < 0
+    threshold = np.concatenate([part[1] for part in parts]).astype(np.float64)
+    value = np.concatenate([part[4] for part in parts])
+    plain = {
+        "link": link,
+        "root": offsets,
+        "feature": feature,
+        "threshold": np.where(is_leaf, 0.0, np.nan_to_num(threshold)),
+        "left": np.concatenate([part[2] + offset for part, offset in zip(parts, offsets, strict=True)]),
+        "right": np.concatenate([part[3] + offset for part, offset in zip(parts, offsets, strict=True)]),
+        "leaf_value": value[is_leaf],
+        "baseline": baseline,
+    }
+    return from_plain(plain, n_features, value.shape[1])
+
+
+def _hash_of(*tables: pl.DataFrame) -> ContentHash:
+    """Hash of tables' contents, row order included."""
+    return content_hash(*(table.write_ipc(None, compression="uncompressed").getvalue() for table in tables))
