@@ -1,11 +1,9 @@
-"""Frames and facts to activities: the published rule tree, or a tree trained from labelled episodes.
-
-`demoplan.stages.segment.training` fits; it is imported by itself because scikit-learn takes a second to load.
-"""
+"""Frames and facts to activities: the published rule tree, or a tree trained from labelled episodes."""
 
 from demoplan.stages.segment.model import Segmenter, parse_segmenter, render_segmenter
 from demoplan.stages.segment.rules import PUBLISHED_RULES, GranularActivity, RuleTree
 from demoplan.stages.segment.segmentation import SegmentParams, segment
+from demoplan.stages.segment.training import TrainParams, segment_held_out, train
 
 __all__ = [
     "PUBLISHED_RULES",
@@ -13,7 +11,10 @@ __all__ = [
     "RuleTree",
     "SegmentParams",
     "Segmenter",
+    "TrainParams",
     "parse_segmenter",
     "render_segmenter",
     "segment",
+    "segment_held_out",
+    "train",
 ]

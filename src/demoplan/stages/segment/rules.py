@@ -21,8 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from demoplan.language.vocabulary import Vocabulary
-from demoplan.manifests.mapping import Entity
+from demoplan.language.types import TypeHierarchy
 from demoplan.stages.segment.tracks import Tracks
 
 
@@ -51,15 +50,15 @@ RULE_ACTIVITIES = (IDLE, REACH, TAKE, PUT, RELEASE)
 
 
 def classify_by_rules(
-    tracks: Tracks, tree: RuleTree, entities: Mapping[str, Entity], vocabulary: Vocabulary
+    tracks: Tracks, tree: RuleTree, entities: Mapping[str, str], types: TypeHierarchy
 ) -> tuple[tuple[str, ...], NDArray[np.int64]]:
     """The activity of every hand at every tick, by the rule tree.
 
     Args:
         tracks: The episode's arrays.
         tree: Granular activities; a pair of classes without a name falls back to Take and Put.
-        entities: Instances with their types.
-        vocabulary: Hierarchy, so that a rule for ``Container`` speaks of bowls too.
+        entities: Instance → type.
+        types: Hierarchy, so that a rule for ``Container`` speaks of bowls too.
 
     Returns:
         Names of the activities, and an index into them for each hand and tick ``(h, t)``.
@@ -76,12 +75,10 @@ def classify_by_rules(
         [index[TAKE], index[PUT], index[IDLE], index[REACH]],
         default=index[RELEASE],
     ).astype(np.int64)
-    kinds = [entities[name].type for name in tracks.objects + tracks.surfaces]
+    kinds = [entities[name] for name in tracks.objects + tracks.surfaces]
     for rule in tree.granular:
-        held = [
-            i for i in range(len(tracks.objects)) if vocabulary.types.is_subtype(kinds[i], rule.held_type)
-        ]
-        acted = [i for i, kind in enumerate(kinds) if vocabulary.types.is_subtype(kind, rule.acted_on_type)]
+        held = [i for i in range(len(tracks.objects)) if types.is_subtype(kinds[i], rule.held_type)]
+        acted = [i for i, kind in enumerate(kinds) if types.is_subtype(kind, rule.acted_on_type)]
         applies = tracks.in_hand[:, held].any(axis=1) & acts_on[:, acted].any(axis=1)
         classes[applies] = index[rule.activity]
     return names, classes

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from demoplan.errors import DataError
 from demoplan.geometry import Array
-from demoplan.language.vocabulary import Vocabulary
-from demoplan.manifests.mapping import Entity
+from demoplan.language.types import TypeHierarchy
 from demoplan.stages.segment.decoding import runs_of, viterbi, without_short_runs
 from demoplan.stages.segment.features import features_of
 from demoplan.stages.segment.model import Segmenter
@@ -43,8 +42,8 @@ class SegmentParams:
 def segment(
     frames: dy.DataFrame[Frames],
     facts: dy.DataFrame[Facts],
-    entities: Mapping[str, Entity],
-    vocabulary: Vocabulary,
+    entities: Mapping[str, str],
+    types: TypeHierarchy,
     segmenter: Segmenter | RuleTree = PUBLISHED_RULES,
     *,
     params: SegmentParams = SegmentParams(),
@@ -54,8 +53,8 @@ def segment(
     Args:
         frames: Poses and grips; every entity at every tick of its episode.
         facts: Atoms of the same episodes: ``inHand``, ``actedOn`` and ``handMove`` are read.
-        entities: Instances with their types; those of the frames that are not named here are left out.
-        vocabulary: Hierarchy of types; ``Hand`` and ``Surface`` say what each instance is to a hand.
+        entities: Instance → type; entities of the frames that are not named here are left out.
+        types: Hierarchy of types; ``Hand`` and ``Surface`` say what each instance is to a hand.
         segmenter: A trained segmenter, or the published rule tree, which needs no labels.
         params: Segmentation choices.
 
@@ -68,9 +67,9 @@ def segment(
         UnknownNameError: If an entity's type is not in the hierarchy.
     """
     found = []
-    for tracks in tracks_of(frames, facts, roles_of(entities, vocabulary), params.motion):
+    for tracks in tracks_of(frames, facts, roles_of(entities, types), params.motion):
         if isinstance(segmenter, RuleTree):
-            names, classes = classify_by_rules(tracks, segmenter, entities, vocabulary)
+            names, classes = classify_by_rules(tracks, segmenter, entities, types)
             evidence: Array | None = None
         else:
             names = segmenter.activities

@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 
 from demoplan.errors import DataError
 from demoplan.geometry import Array, hysteresis, normalised, speeds
-from demoplan.language.vocabulary import Vocabulary
-from demoplan.manifests.mapping import Entity
+from demoplan.language.types import TypeHierarchy
 from demoplan.tables import Facts, Frames
 
 Mask = NDArray[np.bool_]
@@ -70,21 +69,19 @@ class TrackParams:
     """A moving hand slower than this has stopped: without the gap, noise would flip it at every tick."""
 
 
-def roles_of(entities: Mapping[str, Entity], vocabulary: Vocabulary) -> dict[str, str]:
+def roles_of(entities: Mapping[str, str], types: TypeHierarchy) -> dict[str, str]:
     """What each entity is to a hand: ``hand``, ``surface`` or ``object``.
 
     Args:
-        entities: Instances with their types.
-        vocabulary: Hierarchy in which ``Hand`` and ``Surface`` name the types that are not manipulated.
+        entities: Instance → type.
+        types: Hierarchy in which ``Hand`` and ``Surface`` name the types that are not manipulated.
 
     Raises:
         UnknownNameError: If a type is not in the hierarchy.
     """
     return {
         name: "hand" if "Hand" in ancestors else "surface" if "Surface" in ancestors else "object"
-        for name, ancestors in (
-            (name, vocabulary.types.ancestors(entities[name].type)) for name in sorted(entities)
-        )
+        for name, ancestors in ((name, types.ancestors(entities[name])) for name in sorted(entities))
     }
 
 

@@ -1,42 +1,32 @@
-"""Fitting a segmenter to labelled episodes, and trying it on episodes that it has not seen.
+"""Training a segmenter on labelled episodes, and trying it on episodes that it has not seen."""
 
-scikit-learn fits; what is kept are arrays (`demoplan.stages.segment.trees`).
-"""
-
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
-from typing import Any, Literal
+from importlib.metadata import version
+from typing import Literal
 
 import dataframely as dy
 import numpy as np
 import polars as pl
-import sklearn
 from numpy.typing import NDArray
-from sklearn.ensemble import ExtraTreesClassifier, HistGradientBoostingClassifier, RandomForestClassifier
-from sklearn.tree import DecisionTreeClassifier
 
 from demoplan import __version__
-from demoplan.errors import DataError, UnknownNameError
-from demoplan.geometry import Array
+from demoplan.errors import DataError
 from demoplan.ids import ContentHash, content_hash
-from demoplan.language.vocabulary import Vocabulary
-from demoplan.manifests.mapping import Entity
+from demoplan.language.types import TypeHierarchy
 from demoplan.stages.segment.decoding import grammar_of
 from demoplan.stages.segment.features import FeatureParams, features_of
 from demoplan.stages.segment.model import Segmenter
 from demoplan.stages.segment.segmentation import SegmentParams, segment
 from demoplan.stages.segment.tracks import Tracks, roles_of, tracks_of
-from demoplan.stages.segment.trees import Trees, from_plain
 from demoplan.tables import Activities, Facts, Frames
-
-Method = Literal["decision_tree", "random_forest", "extra_trees", "gradient_boosting"]
 
 
 @dataclass(frozen=True, kw_only=True)
 class TrainParams:
     """What can be chosen about training."""
 
-    method: Method = "decision_tree"
+    method: Literal["decision_tree", "random_forest", "extra_trees", "gradient_boosting"] = "decision_tree"
     features: FeatureParams = field(default_factory=FeatureParams)
     segmentation: SegmentParams = field(default_factory=SegmentParams)
     """How held-out episodes are segmented; in training only its thresholds of motion count."""
@@ -65,8 +55,8 @@ def train(
     frames: dy.DataFrame[Frames],
     facts: dy.DataFrame[Facts],
     truth: dy.DataFrame[Activities],
-    entities: Mapping[str, Entity],
-    vocabulary: Vocabulary,
+    entities: Mapping[str, str],
+    types: TypeHierarchy,
     *,
     params: TrainParams = TrainParams(),
 ) -> Segmenter:
@@ -76,15 +66,15 @@ def train(
         frames: Poses and grips of the episodes.
         facts: Atoms of the same episodes.
         truth: True activities; ticks that they do not cover are not learned from.
-        entities: Instances with their types.
-        vocabulary: Hierarchy of types.
+        entities: Instance → type.
+        types: Hierarchy of types.
         params: Training choices. The same data, parameters and versions give the same segmenter.
 
     Raises:
         DataError: If no labelled tick is found, or only one activity.
         UnknownNameError: If the method is not known.
     """
-    examples = _examples(frames, facts, truth, entities, vocabulary, params=params)
+    examples = _examples(frames, facts, truth, entities, types, params=params)
     return _fit(examples, _hash_of(frames, facts, truth), params)
 
 
@@ -92,8 +82,8 @@ def segment_held_out(
     frames: dy.DataFrame[Frames],
     facts: dy.DataFrame[Facts],
     truth: dy.DataFrame[Activities],
-    entities: Mapping[str, Entity],
-    vocabulary: Vocabulary,
+    entities: Mapping[str, str],
+    types: TypeHierarchy,
     *,
     groups: Mapping[str, str],
     params: TrainParams = TrainParams(),
@@ -104,15 +94,15 @@ def segment_held_out(
         frames: Poses and grips of the episodes.
         facts: Atoms of the same episodes.
         truth: True activities.
-        entities: Instances with their types.
-        vocabulary: Hierarchy of types.
+        entities: Instance → type.
+        types: Hierarchy of types.
         groups: Episode → group that is left out together: its participant, or the episode itself.
         params: Training choices.
 
     Raises:
         DataError: If there are fewer than two groups, or an episode has none.
     """
-    examples = _examples(frames, facts, truth, entities, vocabulary, params=params)
+    examples = _examples(frames, facts, truth, entities, types, params=params)
     without = sorted(e.episode_id for e in examples if e.episode_id not in groups)
     if without:
         raise DataError(f"no group is given for episodes {without}; every labelled episode needs one")
@@ -131,7 +121,7 @@ def segment_held_out(
                 Frames.cast(frames.filter(left_out)),
                 Facts.cast(facts.filter(left_out)),
                 entities,
-                vocabulary,
+                types,
                 segmenter,
                 params=params.segmentation,
             )
@@ -157,8 +147,8 @@ def _examples(
     frames: dy.DataFrame[Frames],
     facts: dy.DataFrame[Facts],
     truth: dy.DataFrame[Activities],
-    entities: Mapping[str, Entity],
-    vocabulary: Vocabulary,
+    entities: Mapping[str, str],
+    types: TypeHierarchy,
     *,
     params: TrainParams,
 ) -> list[_Examples]:
@@ -169,7 +159,7 @@ def _examples(
         tracks_of(
             Frames.cast(frames.filter(labelled)),
             Facts.cast(facts.filter(labelled)),
-            roles_of(entities, vocabulary),
+            roles_of(entities, types),
             params.segmentation.motion,
         )
     ):
@@ -245,9 +235,9 @@ def _fit(examples: list[_Examples], training_hash: ContentHash, params: TrainPar
     # Every activity counts alike, however long it lasts.
     weight = (len(target) / (len(names) * np.bincount(target)))[target]
     n_least = max(1, round(params.min_leaf_s / params.sample_every_s * (1 + params.n_variations)))
-    fit = _METHODS.get(params.method)
-    if fit is None:
-        raise UnknownNameError("segmenter method", params.method, _METHODS)
+    # scikit-learn takes a second to load: only training waits for it.
+    from demoplan.stages.segment import fitting  # noqa: PLC0415
+
     code = {name: index for index, name in enumerate(names.tolist())}
     sequences = [
         np.asarray([code[name] for name in sequence if name in code])
@@ -259,7 +249,16 @@ def _fit(examples: list[_Examples], training_hash: ContentHash, params: TrainPar
         activities=tuple(names.tolist()),
         feature_names=examples[0].feature_names,
         feature_params=params.features,
-        trees=fit(values, target, weight, n_least, params),
+        trees=fitting.fitted(
+            values,
+            target,
+            weight,
+            method=params.method,
+            n_least=n_least,
+            max_leaves=params.max_leaves,
+            n_trees=params.n_trees,
+            seed=params.seed,
+        ),
         grammar=grammar_of([s for s in sequences if len(s)], len(names), params.grammar_prior),
         training_hash=training_hash,
         training_episodes=tuple(example.episode_id for example in examples),
@@ -271,134 +270,9 @@ def _fit(examples: list[_Examples], training_hash: ContentHash, params: TrainPar
         versions=(
             ("demoplan", __version__),
             ("numpy", np.__version__),
-            ("scikit-learn", sklearn.__version__),
+            ("scikit-learn", version("scikit-learn")),
         ),
     )
-
-
-def _fit_tree(
-    values: NDArray[np.float32], target: NDArray[np.int64], weight: Array, n_least: int, params: TrainParams
-) -> Trees:
-    model = DecisionTreeClassifier(
-        min_samples_leaf=n_least, max_leaf_nodes=params.max_leaves, random_state=params.seed
-    )
-    model.fit(values, target, sample_weight=weight)
-    return trees_of([model], values.shape[1])
-
-
-def _fit_random_forest(
-    values: NDArray[np.float32], target: NDArray[np.int64], weight: Array, n_least: int, params: TrainParams
-) -> Trees:
-    model = RandomForestClassifier(
-        n_estimators=params.n_trees,
-        min_samples_leaf=max(1, n_least // 4),
-        max_features=0.2,
-        max_leaf_nodes=params.max_leaves,
-        random_state=params.seed,
-    )
-    model.fit(values, target, sample_weight=weight)
-    return trees_of(model.estimators_, values.shape[1])
-
-
-def _fit_extra_trees(
-    values: NDArray[np.float32], target: NDArray[np.int64], weight: Array, n_least: int, params: TrainParams
-) -> Trees:
-    model = ExtraTreesClassifier(
-        n_estimators=params.n_trees,
-        min_samples_leaf=max(1, n_least // 4),
-        max_features=0.3,
-        max_leaf_nodes=params.max_leaves,
-        random_state=params.seed,
-    )
-    model.fit(values, target, sample_weight=weight)
-    return trees_of(model.estimators_, values.shape[1])
-
-
-def _fit_boosting(
-    values: NDArray[np.float32], target: NDArray[np.int64], weight: Array, n_least: int, params: TrainParams
-) -> Trees:
-    model = HistGradientBoostingClassifier(
-        max_iter=params.n_trees,
-        max_leaf_nodes=params.max_leaves or 15,
-        min_samples_leaf=n_least,
-        early_stopping=False,
-        random_state=params.seed,
-    )
-    model.fit(values, target, sample_weight=weight)
-    return boosted_trees_of(model, values.shape[1])
-
-
-_METHODS: dict[str, Callable[[NDArray[np.float32], NDArray[np.int64], Array, int, TrainParams], Trees]] = {
-    "decision_tree": _fit_tree,
-    "random_forest": _fit_random_forest,
-    "extra_trees": _fit_extra_trees,
-    "gradient_boosting": _fit_boosting,
-}
-
-
-def trees_of(models: list[DecisionTreeClassifier], n_features: int) -> Trees:
-    """The trees of fitted scikit-learn classifiers, as arrays."""
-    parts = []
-    for model in models:
-        tree = model.tree_
-        is_leaf = tree.children_left < 0
-        parts.append(
-            (
-                np.where(is_leaf, -1, tree.feature),
-                tree.threshold,
-                tree.children_left,
-                tree.children_right,
-                tree.value[:, 0],
-            )
-        )
-    n_classes = parts[0][4].shape[1]
-    return _joined("mean", parts, np.zeros(n_classes), n_features)
-
-
-def boosted_trees_of(model: HistGradientBoostingClassifier, n_features: int) -> Trees:
-    """The trees of a fitted scikit-learn gradient boosting classifier, as arrays."""
-    n_classes = len(model.classes_)
-    per_round = 1 if n_classes == 2 else n_classes
-    parts = []
-    for predictors in model._predictors:
-        for column, predictor in enumerate(predictors):
-            nodes = predictor.nodes
-            is_leaf = nodes["is_leaf"].astype(bool)
-            value = np.zeros((len(nodes), n_classes))
-            value[:, column if per_round > 1 else 1] = nodes["value"]
-            parts.append(
-                (
-                    np.where(is_leaf, -1, nodes["feature_idx"].astype(np.int64)),
-                    nodes["num_threshold"],
-                    nodes["left"].astype(np.int64),
-                    nodes["right"].astype(np.int64),
-                    value,
-                )
-            )
-    baseline = np.zeros(n_classes)
-    baseline[-per_round:] = np.ravel(model._baseline_prediction)
-    return _joined("softmax", parts, baseline, n_features)
-
-
-def _joined(link: str, parts: list[tuple[Any, ...]], baseline: Array, n_features: int) -> Trees:
-    """Trees in one set of arrays; thresholds of boosting that are infinite become the largest number."""
-    sizes = [len(part[0]) for part in parts]
-    offsets = np.concatenate(([0], np.cumsum(sizes)[:-1]))
-    feature = np.concatenate([part[0] for part in parts])
-    is_leaf = feature < 0
-    threshold = np.concatenate([part[1] for part in parts]).astype(np.float64)
-    value = np.concatenate([part[4] for part in parts])
-    plain = {
-        "link": link,
-        "root": offsets,
-        "feature": feature,
-        "threshold": np.where(is_leaf, 0.0, np.nan_to_num(threshold)),
-        "left": np.concatenate([part[2] + offset for part, offset in zip(parts, offsets, strict=True)]),
-        "right": np.concatenate([part[3] + offset for part, offset in zip(parts, offsets, strict=True)]),
-        "leaf_value": value[is_leaf],
-        "baseline": baseline,
-    }
-    return from_plain(plain, n_features, value.shape[1])
 
 
 def _hash_of(*tables: pl.DataFrame) -> ContentHash:
