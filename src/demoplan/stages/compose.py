@@ -1,0 +1,47 @@
+"""Operators and literals to a domain: what a planner may do."""
+
+from collections.abc import Sequence
+
+import dataframely as dy
+import polars as pl
+
+from demoplan.language.atoms import Atom, Literal
+from demoplan.language.domains import Domain, Operator, Parameter, Signature
+from demoplan.language.types import TypeHierarchy
+from demoplan.tables import Literals, Operators
+
+
+def compose(
+    operators: dy.DataFrame[Operators],
+    literals: dy.DataFrame[Literals],
+    types: TypeHierarchy,
+    predicates: Sequence[Signature],
+    name: str,
+) -> Domain:
+    """The domain of all operators that are not quarantined, with the literals that are kept.
+
+    Args:
+        operators: What was learned, in any row order.
+        literals: Literals of these operators; those of others are ignored.
+        types: The vocabulary's types, all of which the domain declares.
+        predicates: The vocabulary's predicates, all of which the domain declares: states may hold any.
+        name: The domain's name.
+    """
+    stated = literals.filter(pl.col("is_kept"))
+    literals_of: dict[tuple[str, str], set[Literal]] = {}
+    for row in stated.iter_rows(named=True):
+        literal = Literal(Atom(row["predicate"], tuple(row["variables"])), row["is_positive"])
+        literals_of.setdefault((row["operator"], row["role"]), set()).add(literal)
+    composed = tuple(
+        Operator(
+            name=row["operator"],
+            parameters=tuple(Parameter(each["variable"], each["type"]) for each in row["parameters"]),
+            preconditions=frozenset(literals_of.get((row["operator"], "precondition"), ())),
+            effects=frozenset(literals_of.get((row["operator"], "effect"), ())),
+            activity=row["activity"],
+            cost=row["cost"],
+            count=row["n_transitions"],
+        )
+        for row in operators.filter(~pl.col("is_quarantined")).sort("operator").iter_rows(named=True)
+    )
+    return Domain(name=name, types=types, predicates=tuple(sorted(predicates)), operators=composed)

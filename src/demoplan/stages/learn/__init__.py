@@ -1,0 +1,12 @@
+"""Transitions to operators: few, right, and with the evidence behind each literal.
+
+Read in order: ``encode`` (names to integers), ``settle`` (changes that a boundary cut in two), ``bind``
+(which objects matter), ``lift`` (instances to variables), ``merge`` (which transitions are one operator),
+``relevance`` and ``decide`` (which literals are stated), ``sound`` and ``reach`` (that plans are possible and
+safe), and ``learning``, which puts them together.
+"""
+
+from demoplan.stages.learn.learning import Learned, learn, planner_cost, success_probability
+from demoplan.stages.learn.params import LearnParams
+
+__all__ = ["LearnParams", "Learned", "learn", "planner_cost", "success_probability"]

@@ -1,0 +1,275 @@
+"""Lifted patterns to operators: which belong together, over which types, with which counts."""
+
+from collections import Counter, defaultdict
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import product
+
+from demoplan.language.domains import Signature
+from demoplan.language.types import TypeHierarchy
+from demoplan.stages.learn.decide import Changes, Noise, is_caused, is_required
+from demoplan.stages.learn.lift import AFTER, BEFORE, Lifted, LiftedAtom, Pattern
+from demoplan.stages.learn.params import LearnParams
+
+
+@dataclass(frozen=True, kw_only=True)
+class Candidate:
+    """A literal that was considered for an operator, with what speaks for and against it."""
+
+    atom: LiftedAtom
+    is_positive: bool
+    n_support: int
+    n_against: int
+    probability: float
+    is_kept: bool
+    note: str | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Draft:
+    """An operator in the making."""
+
+    activity: str
+    grip: str
+    types: tuple[str | None, ...]
+    """Type of each variable; null where the operator does not have it."""
+    patterns: tuple[int, ...]
+    count: int
+    preconditions: tuple[Candidate, ...] = ()
+    effects: tuple[Candidate, ...] = ()
+    quarantine: str | None = None
+    """Why it is left out of the domain."""
+    note: str | None = field(default=None)
+
+    @property
+    def variables(self) -> tuple[int, ...]:
+        """Positions of the variables that it has."""
+        return tuple(position for position, name in enumerate(self.types) if name is not None)
+
+    def kept(self, role: str) -> frozenset[tuple[LiftedAtom, bool]]:
+        """Stated literals of ``precondition`` or ``effect``."""
+        candidates = self.preconditions if role == "precondition" else self.effects
+        return frozenset((each.atom, each.is_positive) for each in candidates if each.is_kept)
+
+
+def covering_types(seen: Iterable[str], types: TypeHierarchy) -> dict[str, str]:
+    """For each type seen, the highest ancestor all of whose kinds were seen.
+
+    A type is covered if it was seen itself or if all its direct subtypes are covered.
+
+    >>> types = TypeHierarchy.of({"Cube": "Solid", "Ball": "Solid", "Solid": "object", "Hand": "object"})
+    >>> covering_types(["Cube", "Ball"], types), covering_types(["Cube"], types)
+    ({'Ball': 'Solid', 'Cube': 'Solid'}, {'Cube': 'Cube'})
+    """
+    names = frozenset(seen)
+    covered: dict[str, bool] = {}
+
+    def is_covered(name: str) -> bool:
+        if name not in covered:
+            children = types.children(name)
+            covered[name] = name in names or (bool(children) and all(is_covered(child) for child in children))
+        return covered[name]
+
+    lifted = {}
+    for name in sorted(names):
+        highest = name
+        for ancestor in types.ancestors(name):
+            if not is_covered(ancestor):
+                break
+            highest = ancestor
+        lifted[name] = highest
+    return lifted
+
+
+def merge(
+    lifted: Lifted,
+    types: TypeHierarchy,
+    predicates: Sequence[Signature],
+    params: LearnParams,
+    relevance: "Relevance",
+) -> list[Draft]:
+    """Group patterns that change hold and support alike, lift their types, and weigh every literal."""
+    groups: dict[tuple[object, ...], list[int]] = defaultdict(list)
+    for position, pattern in enumerate(lifted.patterns):
+        mask = tuple(name is not None for name in pattern.types)
+        groups[pattern.activity, pattern.grip, mask].append(position)
+    drafts = []
+    for key in sorted(groups, key=repr):
+        for names, members in _split_by_type(groups[key], lifted.patterns, types):
+            first = lifted.patterns[members[0]]
+            draft = Draft(
+                activity=first.activity,
+                grip=first.grip,
+                types=names,
+                patterns=tuple(members),
+                count=sum(lifted.patterns[position].count for position in members),
+            )
+            drafts.append(
+                weigh(draft, lifted.patterns, types, predicates, params=params, relevance=relevance)
+            )
+    return drafts
+
+
+def _split_by_type(
+    members: Sequence[int], patterns: Sequence[Pattern], types: TypeHierarchy
+) -> list[tuple[tuple[str | None, ...], list[int]]]:
+    columns = zip(*(patterns[position].types for position in members), strict=True)
+    covers = [covering_types({name for name in column if name is not None}, types) for column in columns]
+    split: dict[tuple[str | None, ...], list[int]] = defaultdict(list)
+    for position in members:
+        names = tuple(
+            None if name is None else cover[name]
+            for name, cover in zip(patterns[position].types, covers, strict=True)
+        )
+        split[names].append(position)
+    return sorted(split.items(), key=repr)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Relevance:
+    """Which literals may be stated at all; the positions of variables are those of the lifted atoms."""
+
+    is_effect: Callable[[LiftedAtom], bool]
+    """Whether an atom's change may be an effect."""
+    is_condition: Callable[[LiftedAtom, bool, bool], bool]
+    """Whether a literal (atom, is_positive, is_changed) may be a precondition."""
+
+
+def universe(
+    names: Sequence[str | None], types: TypeHierarchy, predicates: Sequence[Signature]
+) -> list[LiftedAtom]:
+    """Every atom over the variables that their types allow, each variable at most once, sorted."""
+    atoms = []
+    for signature in predicates:
+        places = [
+            [
+                position
+                for position, name in enumerate(names)
+                if name is not None and (types.is_subtype(name, wanted) or types.is_subtype(wanted, name))
+            ]
+            for wanted in signature.argument_types
+        ]
+        atoms += [
+            LiftedAtom(signature.name, chosen)
+            for chosen in product(*places)
+            if len(set(chosen)) == len(chosen)
+        ]
+    return sorted(atoms)
+
+
+def weigh(
+    draft: Draft,
+    patterns: Sequence[Pattern],
+    types: TypeHierarchy,
+    predicates: Sequence[Signature],
+    *,
+    params: LearnParams,
+    relevance: Relevance,
+) -> Draft:
+    """The draft with every relevant literal's counts, posterior, and whether it is stated."""
+    noise = Noise(params.noise_mean, params.noise_weight)
+    members = [patterns[position] for position in draft.patterns]
+    effects: list[Candidate] = []
+    conditions: list[Candidate] = []
+    for atom in universe(draft.types, types, predicates):
+        cells = _cells(atom, members)
+        made = {
+            value: _effect(atom, value, cells, noise=noise, params=params, relevance=relevance)
+            for value in (True, False)
+        }
+        stated = [each for each in made.values() if each is not None and each.is_kept]
+        if len(stated) > 1:
+            best = max(stated, key=lambda each: (each.probability, each.is_positive))
+            made = {value: each if each is best else None for value, each in made.items()}
+        condition = _condition(atom, cells, made, noise=noise, params=params, relevance=relevance)
+        if condition is not None:
+            conditions.append(condition)
+        for each in made.values():
+            if each is None:
+                continue
+            holds = condition is not None and condition.is_kept and condition.is_positive == each.is_positive
+            effects.append(
+                replace(each, is_kept=False, note="holds already, by a precondition")
+                if holds and each.is_kept
+                else each
+            )
+    return replace(draft, preconditions=tuple(conditions), effects=tuple(effects))
+
+
+Cells = Counter[tuple[bool | None, bool | None]]
+"""Transitions by an atom's value (null: not observed) before and after."""
+
+
+def _cells(atom: LiftedAtom, members: Sequence[Pattern]) -> Cells:
+    cells: Cells = Counter()
+    for pattern in members:
+        value = tuple(
+            None
+            if atom in pattern.unknown[side] and atom not in pattern.true[side]
+            else atom in pattern.true[side]
+            for side in (BEFORE, AFTER)
+        )
+        cells[value[0], value[1]] += pattern.count
+    return cells
+
+
+def _effect(
+    atom: LiftedAtom, value: bool, cells: Cells, *, noise: Noise, params: LearnParams, relevance: Relevance
+) -> Candidate | None:
+    changes = Changes(
+        kept_false=cells[not value, not value],
+        became_true=cells[not value, value],
+        became_false=cells[value, not value],
+        kept_true=cells[value, value],
+    )
+    if not changes.became_true or not relevance.is_effect(atom):
+        return None
+    support = sum(count for (_, after), count in cells.items() if after is value)
+    against = sum(count for (_, after), count in cells.items() if after is not value and after is not None)
+    probability = is_caused(changes, noise)
+    is_kept = probability >= params.min_probability
+    return Candidate(
+        atom=atom,
+        is_positive=value,
+        n_support=support,
+        n_against=against,
+        probability=probability,
+        is_kept=is_kept,
+        note=None if is_kept else "counts speak for chance or for no change",
+    )
+
+
+def _condition(
+    atom: LiftedAtom,
+    cells: Cells,
+    made: dict[bool, Candidate | None],
+    *,
+    noise: Noise,
+    params: LearnParams,
+    relevance: Relevance,
+) -> Candidate | None:
+    held = sum(count for (before, _), count in cells.items() if before is True)
+    absent = sum(count for (before, _), count in cells.items() if before is False)
+    if held + absent == 0:
+        return None
+    value = held >= absent
+    opposite = made[not value]
+    is_changed = opposite is not None and opposite.is_kept
+    if not relevance.is_condition(atom, value, is_changed):
+        return None
+    support, against = (held, absent) if value else (absent, held)
+    probability = is_required(support, against, noise)
+    is_kept = probability >= params.min_probability
+    note = None if is_kept else "holds too irregularly to be a condition"
+    if is_kept and not value and is_changed:
+        # The operator makes it true whatever was before: asking for its absence would only forbid plans.
+        is_kept, note = False, "the operator itself makes the opposite true"
+    return Candidate(
+        atom=atom,
+        is_positive=value,
+        n_support=support,
+        n_against=against,
+        probability=probability,
+        is_kept=is_kept,
+        note=note,
+    )

@@ -1,0 +1,190 @@
+"""Boundaries that cut a change in two: give the whole change to one activity.
+
+A hand is open or holds; an object rests on one thing or, once carried, on another. There is nothing in between
+that an operator could state. But segments and predicates come from different thresholds, so that an end can fall
+into the gap: the hand has closed and does not hold yet, the cube has left the table as Put ends and touches the
+next cube in Release. Operators learned from such halves are unsound together: one that adds ``onTop(c, to)``
+without removing ``onTop(c, from)`` leaves a cube in two places.
+
+A gap is therefore closed: what was before it, and what was after it, are moved to the boundaries of one
+activity, its owner. Where several ends in a row fall into it (a hesitation in mid-carry), all of them before
+the owner agree with what was before, and all after it with what came after. Nothing is invented: every value
+comes from a state that was observed, and only where it was first (or last) seen changes.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+
+from demoplan.stages.learn.encode import NOBODY, Encoded, Ints
+from demoplan.stages.learn.params import LearnParams
+
+FREE = -2
+"""Value of a hand that is open, and so holds nothing."""
+Preference: TypeAlias = Callable[[range, int, int], Sequence[tuple[int, ...]]]
+"""For the rows of a run and the values on its two sides, how well each row would do as owner."""
+
+GAP = -1
+"""Value of a hand that is neither open nor holds anything, and of an object that rests on nothing."""
+_UNSEEN = -3
+
+
+@dataclass(frozen=True)
+class Settled:
+    """Where each transition's ends are read once gaps are closed; shapes (n, 2), before and after."""
+
+    hand_source: Ints
+    """States that say whether the hand is open, and what it holds."""
+    support_source: Ints
+    """States that say what the manipulated object rests on."""
+    holds: Ints
+    """Object held: its code, ``FREE``, or another negative number where nothing is known."""
+    manipulated: Ints
+    """Object that is grasped, released, held, or acted on; ``NOBODY`` where there is none. Shape (n,)."""
+
+
+def settle(data: Encoded, params: LearnParams) -> Settled:
+    """Close the gaps of every hand's sequence of transitions.
+
+    Args:
+        data: Transitions of logs (symbolic traces have no gaps).
+        params: Which predicates exclude each other.
+    """
+    own = 2 * np.arange(data.n)[:, None] + np.array([0, 1])
+    holds = _holding(data, params)
+    hand_source = _close(
+        own,
+        holds,
+        data.sequence,
+        data.activity,
+        preference=lambda run, old, new: _grip_preference(data, run, old, new),
+    )
+    holds = holds.reshape(-1)[hand_source]
+    manipulated = _manipulated(data, holds)
+    rests = _resting(data, manipulated, holds, params)
+    chain = np.cumsum(
+        np.r_[True, (data.sequence[1:] != data.sequence[:-1]) | (manipulated[1:] != manipulated[:-1])]
+    )[: data.n]
+    support_source = _close(
+        own,
+        rests,
+        chain,
+        data.activity,
+        preference=lambda run, _old, new: _carry_preference(data, holds, run, new),
+    )
+    return Settled(hand_source, support_source, holds, manipulated)
+
+
+def _holding(data: Encoded, params: LearnParams) -> Ints:
+    """What each hand holds before and after each transition, shape (n, 2)."""
+    holds = np.full(2 * data.n, GAP, dtype=np.int64)
+    holding, empty = data.predicate_code(params.holding), data.predicate_code(params.empty)
+    every = np.arange(2 * data.n)
+    for states, is_known in ((data.unknown, False), (data.true, True)):
+        state, atom = states.gather(every)
+        predicate, subject = data.atom_predicate[atom], data.atom_arguments[atom, 0]
+        own = subject == data.hand[state // 2]
+        is_empty = own & (predicate == empty)
+        is_held = own & (predicate == holding)
+        if is_known:
+            holds[state[is_empty]] = FREE
+            held_state, held = state[is_held], data.atom_arguments[atom[is_held], 1]
+            # Where two are said to be held, the one that the activity names counts, else the last by name.
+            named = (held == data.in_hand[held_state // 2]) | (held == data.acted_on[held_state // 2])
+            order = np.argsort(named, kind="stable")
+            holds[held_state[order]] = held[order]
+        else:
+            holds[state[is_empty | is_held]] = _UNSEEN
+    if empty < 0:
+        holds[holds == GAP] = _UNSEEN
+    return holds.reshape(-1, 2)
+
+
+def _manipulated(data: Encoded, holds: Ints) -> Ints:
+    """The object grasped, else released or held, else named by the activity; shape (n,)."""
+    before, after = holds[:, 0], holds[:, 1]
+    named = np.where(data.in_hand != NOBODY, data.in_hand, data.acted_on)
+    chosen = np.where((after >= 0) & (after != before), after, np.where(before >= 0, before, named))
+    return np.where(chosen == data.hand, NOBODY, chosen)
+
+
+def _resting(data: Encoded, manipulated: Ints, holds: Ints, params: LearnParams) -> Ints:
+    """What the manipulated object rests on (one thing), before and after: a code, a gap, or unseen."""
+    rests = np.full(2 * data.n, GAP, dtype=np.int64)
+    supports = np.array([data.predicate_code(name) for name in params.supports], dtype=np.int64)
+    state, atom = data.true.gather(np.arange(2 * data.n))
+    is_rest = np.isin(data.atom_predicate[atom], supports) & (
+        data.atom_arguments[atom, 0] == manipulated[state // 2]
+    )
+    rests[state[is_rest]] = data.atom_arguments[atom[is_rest], 1]
+    sides = rests.reshape(-1, 2)
+    sides[manipulated == NOBODY] = _UNSEEN
+    # An object that nobody holds and whose support was not observed is not in the air: leave it.
+    state, atom = data.unknown.gather(np.arange(2 * data.n))
+    is_unseen = np.isin(data.atom_predicate[atom], supports) & (
+        data.atom_arguments[atom, 0] == manipulated[state // 2]
+    )
+    unseen = np.zeros(2 * data.n, dtype=bool)
+    unseen[state[is_unseen]] = True
+    loose = unseen.reshape(-1, 2) & (sides == GAP) & (holds != manipulated[:, None])
+    sides[loose] = _UNSEEN
+    return sides
+
+
+def _close(own: Ints, values: Ints, chain: Ints, activity: Ints, preference: Preference) -> Ints:
+    """Sources of each end's value after every gap is closed; shape (n, 2).
+
+    A run is a maximal stretch of one chain whose inner boundaries all fall into a gap and whose two ends
+    do not. Its owner is the activity that, over all the data, most often makes the same kind of change
+    within itself; where the data have no word on it, ``preference`` decides.
+    """
+    source = own.copy()
+    n = len(own)
+    if n == 0:
+        return source
+    joined = np.r_[chain[1:] == chain[:-1], False]
+    open_end = joined & (values[:, 1] == GAP)
+    open_end[:-1] &= values[1:, 0] == GAP
+    starts = np.flatnonzero(open_end & ~np.r_[False, open_end[:-1]])
+    ends = np.flatnonzero(~open_end & np.r_[False, open_end[:-1]])
+    kinds = np.where(values >= 0, 1, values)
+    whole = (
+        (values[:, 0] != GAP) & (values[:, 1] != GAP) & (values[:, 0] != _UNSEEN) & (values[:, 1] != _UNSEEN)
+    )
+    changes = whole & (values[:, 0] != values[:, 1])
+    seen, counts = np.unique(np.column_stack([activity[changes], kinds[changes]]), axis=0, return_counts=True)
+    votes = {tuple(key): count for key, count in zip(seen.tolist(), counts.tolist(), strict=True)}
+    for start, end in zip(starts.tolist(), ends.tolist(), strict=True):
+        old, new = int(values[start, 0]), int(values[end, 1])
+        if old in (GAP, _UNSEEN) or new in (GAP, _UNSEEN):
+            continue
+        key = (int(kinds[start, 0]), int(kinds[end, 1]))
+        run = range(start, end + 1)
+        choice = preference(run, old, new)
+        owner = max(run, key=lambda row: (votes.get((int(activity[row]), *key), 0), choice[row - start]))
+        source[start:owner, 1] = own[start, 0]
+        source[start + 1 : owner + 1, 0] = own[start, 0]
+        source[owner:end, 1] = own[end, 1]
+        source[owner + 1 : end + 1, 0] = own[end, 1]
+    return source
+
+
+def _grip_preference(data: Encoded, run: range, old: int, new: int) -> list[tuple[int, ...]]:
+    """The first activity whose named object in hand agrees with the new state of the hand."""
+    held = data.in_hand[run.start : run.stop]
+    agrees = held == new if new >= 0 else held != old
+    return [(int(fits), -row) for fits, row in zip(agrees, run, strict=True)]
+
+
+def _carry_preference(data: Encoded, holds: Ints, run: range, _new: int) -> list[tuple[int, ...]]:
+    """The activity that carries from end to end, and the kind of activity that carries longest."""
+    span = (
+        data.table["end_ns"][run.start : run.stop].to_numpy()
+        - data.table["start_ns"][run.start : run.stop].to_numpy()
+    )
+    activity = data.activity[run.start : run.stop]
+    carried = (holds[run.start : run.stop] >= 0).sum(axis=1)
+    total = [int(span[activity == code].sum()) for code in activity]
+    return [(int(ends), long, -row) for ends, long, row in zip(carried, total, run, strict=True)]
