@@ -141,12 +141,12 @@ class _Walk:
     def _record(self, node: Record, wanted: Trie | None, path: Path, at: int, is_end_needed: bool) -> int:
         n_left = len(wanted) if wanted else 0
         for name, child in node.fields:
+            if n_left == 0 and not is_end_needed:
+                break
             inner = None if wanted is None else wanted.get(name)
             if inner is not None:
                 n_left -= 1
             at = self.node(child, inner, (*path, name), at, is_end_needed or n_left > 0)
-            if n_left == 0 and not is_end_needed:
-                break
         return at
 
     def _repeated(self, node: Repeated, wanted: Trie | None, path: Path, at: int, is_end_needed: bool) -> int:
@@ -171,13 +171,13 @@ class _Walk:
         last = max((step for step in wanted or () if isinstance(step, int)), default=-1)
         for number in range(count):
             inner = each
-            step: Step = EACH
+            place: Step = EACH
             if inner is None and wanted is not None and number in wanted:
-                inner, step = wanted[number], number
+                inner, place = wanted[number], number
             is_last = number == count - 1
             needed = is_end_needed or (not is_last and (each is not None or number < last))
             before = at
-            at = self.node(element, inner, (*path, step), at, needed)
+            at = self.node(element, inner, (*path, place), at, needed)
             if inner is None and number > last and at == before:
                 break  # Elements without a byte: as many as one likes.
             if not is_end_needed and each is None and number >= last >= 0:
@@ -194,6 +194,21 @@ class LayoutFinder:
         self._form = form
         self._wanted = trie_of(paths)
         self._known: dict[tuple[int, str], list[Layout]] = {}
+        self._extent = self._fixed_extent()
+
+    def _fixed_extent(self) -> int | None:
+        """How many first bytes hold everything wanted, if no length comes before any of it."""
+
+        def ask(_: int) -> int:
+            raise _SplitError(np.empty(0, np.uint32))
+
+        walk = _Walk(self._form, "<", 2**31, ask)
+        try:
+            walk.node(self._node, self._wanted, (), 0, False)
+        except (_SplitError, MalformedError):
+            return None
+        ends = [place.start + place.n_bytes for places in walk.places.values() for place in places]
+        return max(ends, default=self._form.origin + 1)
 
     def groups(
         self, buffer: Bytes, starts: Times, lengths: Times
@@ -211,6 +226,9 @@ class LayoutFinder:
         """
         groups: list[tuple[Layout, Times, Bytes]] = []
         refused: list[tuple[Times, str]] = []
+        if self._extent is not None:
+            # What comes after does not matter: messages of any length have one layout.
+            lengths = np.minimum(lengths, self._extent)
         first = int(lengths[0]) if len(lengths) else 0
         is_one_length = bool((lengths == first).all())
         for length in [first] if is_one_length else np.unique(lengths).tolist():

@@ -7,6 +7,9 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
+from ruamel.yaml import YAML
+from ruamel.yaml.error import YAMLError
+
 from demoplan.errors import LogError
 from demoplan.ids import ContentHash
 from demoplan.logs import compression, mcap_files, ros1_bags, rosbag2_sqlite
@@ -17,6 +20,7 @@ from demoplan.logs.ros1_bags import Ros1Bag
 from demoplan.logs.rosbag2_sqlite import Rosbag2Sqlite
 
 _SUFFIXES = (".mcap", ".db3", ".bag", ".mcap.zstd", ".db3.zstd")
+_MOST_METADATA = 4 * 2**20
 _KINDS = "an MCAP file, a ROS 1 bag (2.0), a rosbag2 .db3 file, or a folder with rosbag2 files"
 
 
@@ -92,6 +96,35 @@ def files_of(path: Path) -> tuple[LogFile, ...]:
         if not file.is_packed:
             _container(file.path, file.path, False)
     return files
+
+
+def note_missing_files(path: Path, files: tuple[LogFile, ...], tally: Tally) -> None:
+    """Note as a problem where a folder's ``metadata.yaml`` speaks of more data files than are there.
+
+    Only their number counts: after a folder was renamed, the names in it are out of date.
+    """
+    metadata = path / "metadata.yaml"
+    if not path.is_dir() or not metadata.is_file():
+        return
+    if metadata.stat().st_size > _MOST_METADATA:
+        tally.remarks.append(f"its metadata.yaml is larger than {_MOST_METADATA} bytes and was not read")
+        return
+    try:
+        tree = YAML(typ="safe", pure=True).load(metadata.read_text(errors="replace"))
+        about = tree["rosbag2_bagfile_information"]
+        listed, n_messages = [str(name) for name in about["relative_file_paths"]], about.get("message_count")
+    except (YAMLError, KeyError, TypeError, AttributeError, ValueError, RecursionError):
+        tally.remarks.append("its metadata.yaml does not parse; the data files were read without it")
+        return
+    if len(listed) > len(files):
+        here = {file.path.name for file in files}
+        missing = [name for name in listed if Path(name).name not in here] or listed
+        tally.problems.append(
+            f"its metadata.yaml speaks of {len(listed)} files, but {len(files)} are here; "
+            f"missing: {', '.join(missing[:5])}"
+        )
+    if isinstance(n_messages, int):
+        tally.facts["metadata_messages"] = str(n_messages)
 
 
 def _natural(name: str) -> tuple[tuple[int, int | str], ...]:

@@ -10,14 +10,11 @@ from dataframely import DataFrame
 
 from demoplan.errors import LogError, UsageError
 from demoplan.logs.columns import Decoder, MissingFieldError
+from demoplan.logs.decoding import decoder_for
 from demoplan.logs.definitions import Definitions, UnknownTypeError
-from demoplan.logs.layouts import CDR, ROS1
 from demoplan.logs.messages import Channel, Tally
-from demoplan.logs.objects import ObjectDecoder, parse_json
-from demoplan.logs.opening import files_of
-from demoplan.logs.protobuf import parser_of
+from demoplan.logs.opening import files_of, note_missing_files
 from demoplan.logs.sampling import TopicSampler, wanted_of
-from demoplan.logs.serialised import SerialisedDecoder
 from demoplan.manifests.mapping import GripTopic, Mapping
 from demoplan.tables import Samples, Topics
 
@@ -73,6 +70,7 @@ class SampleStream:
             raise UsageError("the batches of a log can be gone through only once; open it again")
         self._is_read = True
         decoders: dict[tuple[Channel, str], Decoder | None] = {}
+        note_missing_files(self._path, self._files, self._tally)
         for file in self._files:
             with file.container(self._tally) as container:
                 for block in container.blocks(self._samplers.__contains__, self._tally):
@@ -101,18 +99,7 @@ class SampleStream:
         """What reads a channel for a mapped topic; null, with a note, if it cannot be read and is not required."""
         wanted = wanted_of(sampler.topic)
         try:
-            if channel.encoding in ("cdr", "ros1"):
-                form = CDR if channel.encoding == "cdr" else ROS1
-                node = self._definitions.node(channel)
-                return SerialisedDecoder(node, form, wanted, sampler.interner)
-            if channel.encoding == "json":
-                return ObjectDecoder(parse_json, None, wanted, sampler.interner)
-            if channel.encoding == "protobuf":
-                record, parse = parser_of(channel.message_type, channel.schema)
-                return ObjectDecoder(parse, record, wanted, sampler.interner)
-            raise UnknownTypeError(
-                f"its encoding {channel.encoding!r} is not supported; supported: cdr, json, protobuf, ros1"
-            )
+            return decoder_for(channel, wanted, self._definitions, sampler.interner)
         except (MissingFieldError, UnknownTypeError) as error:
             if sampler.topic.required:
                 raise self._refusal(channel, sampler, str(error)) from None
@@ -202,7 +189,7 @@ def open_log(
         LogError: If there is nothing, or what is there is no log.
         UsageError: If the mapping names folders of definitions that do not exist.
     """
-    return SampleStream(Path(path), mapping, episode_id, _definitions(mapping, definitions_root))
+    return SampleStream(Path(path), mapping, episode_id, definitions_of(mapping, definitions_root))
 
 
 def read(
@@ -222,9 +209,14 @@ def read(
     return Reading(Samples.cast(samples), stream.topics, stream.status, stream.reason)
 
 
-def _definitions(mapping: Mapping, root: Path | str | None) -> Definitions:
+def definitions_of(mapping: Mapping | None, root: Path | str | None) -> Definitions:
+    """Where a mapping says that definitions are.
+
+    Raises:
+        UsageError: If a folder that it names is not below ``root``.
+    """
     folders = []
-    for name in mapping.definitions:
+    for name in () if mapping is None else mapping.definitions:
         if root is None:
             raise UsageError(
                 f"the mapping names definitions {name!r}, but no folder is given that this is relative to"

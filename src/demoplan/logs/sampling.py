@@ -24,21 +24,21 @@ from demoplan.tables import Samples
 MappedTopic: TypeAlias = TransformsTopic | PoseTopic | BodiesTopic | GripTopic
 
 _METRES = {"m": 1.0, "cm": 0.01, "mm": 0.001}
-_STAMPS = ("header.stamp", "stamp", "timestamp")
+STAMP_PATHS = ("header.stamp", "stamp", "timestamp")
 _FRAMES = ("header.frame_id", "frame_id")
 _WXYZ_OF_XYZW = [3, 0, 1, 2]
 
 
 def wanted_of(topic: MappedTopic) -> Wanted:
     """Fields that a mapped topic needs, with the names that ROS and Foxglove use for stamps and frames."""
-    stamp = Field("stamp", _STAMPS, "stamp", is_required=False)
+    stamp = Field("stamp", STAMP_PATHS, "stamp", is_required=False)
     frame = Field("frame", _FRAMES, "text", is_required=False)
     if isinstance(topic, GripTopic):
         return Wanted((stamp, Field("grip", (topic.field,), "numbers")))
     if isinstance(topic, TransformsTopic):
         return Wanted(
             (
-                Field("stamp", _STAMPS, "stamp", is_element=True, is_required=False),
+                Field("stamp", STAMP_PATHS, "stamp", is_element=True, is_required=False),
                 Field("frame", ("header.frame_id", "parent_frame_id"), "text", is_element=True),
                 Field("name", ("child_frame_id",), "text", is_element=True),
                 Field("position", ("transform.translation", "translation"), "numbers", XYZ, is_element=True),
