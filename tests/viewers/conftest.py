@@ -11,6 +11,7 @@ import pytest
 
 from demoplan import tables
 from demoplan.language.vocabulary import Shape
+from demoplan.viewers.report import Confusion, DomainText, Failure, Reference, ReportContent
 
 TICK_NS = 10_000_000
 START_NS = 1_790_000_000_000_000_000
@@ -304,6 +305,242 @@ def synthetic_episodes(n_more=2):
     return tables.Episodes.validate(frame.select(columns).sort("episode_id"), cast=True)
 
 
+OPERATORS = (
+    ("reach_1", "Reach", 24, False, (("?hand", "Hand"), ("?cube", "Cube"))),
+    ("take_1", "Take", 24, False, (("?hand", "Hand"), ("?cube", "Cube"))),
+    (
+        "put_1",
+        "Put",
+        15,
+        False,
+        (("?hand", "Hand"), ("?cube", "Cube"), ("?below", "Cube"), ("?table", "Table")),
+    ),
+    (
+        "put_2",
+        "Put",
+        9,
+        False,
+        (("?hand", "Hand"), ("?cube", "Cube"), ("?table", "Table"), ("?below", "Cube")),
+    ),
+    ("release_1", "Release", 23, False, (("?hand", "Hand"), ("?cube", "Cube"))),
+    ("release_2", "Release", 1, True, (("?hand", "Hand"), ("?cube", "Cube"))),
+)
+LITERALS = (
+    # operator's activity, role, predicate, indices of its parameters, positive, share against, kept
+    ("Reach", "precondition", "handOpen", (0,), True, 0.0, True),
+    ("Reach", "precondition", "clear", (1,), True, 0.05, True),
+    ("Reach", "precondition", "onTop", (1, 1), True, 0.6, False),
+    ("Reach", "effect", "graspable", (0, 1), True, 0.1, True),
+    ("Reach", "effect", "handMove", (0,), True, 0.0, True),
+    ("Take", "precondition", "graspable", (0, 1), True, 0.1, True),
+    ("Take", "effect", "inHand", (0, 1), True, 0.0, True),
+    ("Take", "effect", "handOpen", (0,), False, 0.0, True),
+    ("Put", "precondition", "inHand", (0, 1), True, 0.0, True),
+    ("Put", "precondition", "clear", (2,), True, 0.0, True),
+    ("Put", "effect", "onTop", (1, 2), True, 0.0, True),
+    ("Put", "effect", "onTop", (1, 3), False, 0.0, True),
+    ("Put", "effect", "clear", (2,), False, 0.07, True),
+    ("Release", "precondition", "inHand", (0, 1), True, 0.0, True),
+    ("Release", "effect", "inHand", (0, 1), False, 0.0, True),
+    ("Release", "effect", "handOpen", (0,), True, 0.0, True),
+)
+DOMAIN = """; learned from 12 demonstrations
+(define (domain cube-stacking)
+  (:requirements :typing :negative-preconditions :action-costs)
+  (:types Hand Surface Graspable - object Table - Surface Cube - Graspable WoodenCube - Cube)
+  (:predicates (handOpen ?a - Hand) (inHand ?a - Hand ?b - Graspable) (onTop ?a - Graspable ?b - object))
+  (:functions (total-cost) - number)
+  (:action take_1
+    :parameters (?hand - Hand ?cube - Cube)
+    :precondition (and (graspable ?hand ?cube) (handOpen ?hand))
+    :effect (and (inHand ?hand ?cube) (not (handOpen ?hand)) (increase (total-cost) 12)))
+)
+"""
+GOALS = (
+    ("onTop(cube_red,cube_blue)", "one on one"),
+    ("onTop(cube_blue,cube_green) & onTop(cube_red,cube_blue)", "three-tower"),
+    ("onTop(cube_green,cube_red) & onTop(cube_red,cube_blue)", "tower in an order never shown"),
+    ("onTop(cube_green,cube_yellow) & onTop(cube_red,cube_blue)", "two towers of two"),
+)
+
+
+def synthetic_operators():
+    """Operators and their literals, one of them quarantined."""
+    operators = pl.DataFrame(
+        [
+            {
+                "operator": name,
+                "activity": activity,
+                "parameters": [{"variable": v, "type": t} for v, t in parameters],
+                "n_transitions": n,
+                "n_episodes": min(n, 12),
+                "n_successes": 0,
+                "n_failures": 0,
+                "beta": (n + 1) / (n + 2),
+                "cost": 100 // n + 1,
+                "is_quarantined": is_quarantined,
+                "note": "seen once, and contradicted by 23 others" if is_quarantined else None,
+            }
+            for name, activity, n, is_quarantined, parameters in OPERATORS
+        ]
+    )
+    literals = pl.DataFrame(
+        [
+            {
+                "operator": name,
+                "role": role,
+                "predicate": predicate,
+                "variables": [parameters[min(k, len(parameters) - 1)][0] for k in indices],
+                "is_positive": is_positive,
+                "n_support": n - round(against * n) - (1 if n > 20 and predicate == "clear" else 0),
+                "n_against": round(against * n),
+                "n_transitions": n,
+                "probability": 1.0 - against,
+                "is_kept": is_kept,
+                "note": None if is_kept else "contradicted too often",
+            }
+            for name, activity, n, _, parameters in OPERATORS
+            for of, role, predicate, indices, is_positive, against, is_kept in LITERALS
+            if of == activity
+        ]
+    )
+    return (
+        tables.Operators.validate(operators, cast=True),
+        tables.Literals.validate(literals, cast=True),
+    )
+
+
+def synthetic_scores():
+    """Segmentation by method, planning over everything, with intervals."""
+    rows = []
+    for method, accuracy in (("decision_tree", 0.978), ("naive", 0.611), ("rule_tree", 0.943)):
+        figures = (
+            ("frame_accuracy", 0.0),
+            ("macro_f1", -0.02),
+            ("f1@10", 0.01),
+            ("f1@50", -0.04),
+            ("edit", -0.01),
+        )
+        for metric, more in figures:
+            value = accuracy + more
+            rows.append(
+                ("segmentation", method, "all", metric, value, 24, value - 0.02, min(1.0, value + 0.015))
+            )
+    rows.append(("planning", "combined domain", "all", "goals_solved", 1.0, 4, 0.398, 1.0))
+    rows.append(("planning", "single domains", "all", "domains_solved", 11 / 12, 12, 0.646, 0.985))
+    frame = pl.DataFrame(
+        [
+            dict(zip(("suite", "method", "subject", "metric", "value", "n", "low", "high"), r, strict=True))
+            for r in rows
+        ]
+    ).with_columns(detail=pl.lit(None, dtype=pl.String))
+    return tables.Scores.validate(frame, cast=True)
+
+
+def synthetic_plans(n_domains=13):
+    """Every goal with every domain: most are solved, one is impossible, one ran out of time."""
+    rows = []
+    for d in range(n_domains):
+        for g, (goal, _) in enumerate(GOALS):
+            outcome = "unsolvable" if (d, g) == (4, 2) else "out_of_time" if (d, g) == (7, 3) else "solved"
+            is_solved = outcome == "solved"
+            steps = [
+                "reach_1(Right_hand,cube_red)",
+                "take_1(Right_hand,cube_red)",
+                "put_1(Right_hand,cube_red)",
+            ]
+            rows.append(
+                {
+                    "domain_id": f"{d:016x}",
+                    "problem_id": f"problem-{g}",
+                    "attempt": 0,
+                    "goal": goal,
+                    "outcome": outcome,
+                    "is_explained": True,
+                    "is_validated": is_solved,
+                    "n_operators": 6,
+                    "n_steps": 3 * (g + 1) if is_solved else None,
+                    "cost": 17 * (g + 1) if is_solved else None,
+                    "steps": steps * (g + 1) if is_solved else None,
+                    "message": None if is_solved else "no operator makes clear(cube_red) true",
+                }
+            )
+    return tables.Plans.validate(pl.DataFrame(rows, infer_schema_length=None), cast=True)
+
+
+def synthetic_topics():
+    """Two topics of every episode that could be read; one lost some messages."""
+    rows = [
+        {
+            "episode_id": episode,
+            "topic": topic,
+            "message_type": kind,
+            "encoding": "cdr",
+            "is_mapped": True,
+            "n_messages": 3000,
+            "n_rows": 12000 - rejected,
+            "n_rejected": rejected,
+            "note": "position holds NaN" if rejected else None,
+        }
+        for episode in (EPISODE, "p2-one-0", "p2-one-1", "p3-cut")
+        for topic, kind in (("/tf", "tf2_msgs/msg/TFMessage"), ("/grip", "std_msgs/msg/Float64"))
+        for rejected in (7 if (episode, topic) == ("p3-cut", "/tf") else 0,)
+    ]
+    return tables.Topics.validate(pl.DataFrame(rows), cast=True)
+
+
+def synthetic_report():
+    """A report with every section filled."""
+    operators, literals = synthetic_operators()
+    episodes = synthetic_episodes()
+    activities = pl.concat(
+        [synthetic_activities(shift, e) for shift, e in ((7, EPISODE), (-11, "p2-one-0"), (23, "p2-one-1"))]
+    )
+    truth = pl.concat([synthetic_activities(0, e) for e in (EPISODE, "p2-one-0", "p2-one-1")])
+    return ReportContent(
+        dataset="cube-stacking",
+        description="Three participants stack one and two cubes, with the left and with the right hand.",
+        versions=(("demoplan", "0.1.0"), ("dataset", "9f" * 32), ("parameters", "41" * 32)),
+        episodes=episodes,
+        topics=synthetic_topics(),
+        activities=activities,
+        truth=truth,
+        scores=synthetic_scores(),
+        methods=("decision_tree",),
+        references=(
+            Reference(suite="segmentation", metric="frame_accuracy", value=0.874, source="AIJ 2017"),
+        ),
+        confusions=(
+            Confusion(
+                method="decision_tree",
+                labels=("Idle", "Put", "Reach", "Release", "Take"),
+                counts=(
+                    (8100, 3, 41, 37, 0),
+                    (2, 1510, 0, 22, 31),
+                    (60, 0, 1102, 0, 25),
+                    (44, 19, 0, 801, 0),
+                    (0, 17, 21, 0, 560),
+                ),
+            ),
+        ),
+        operators=operators,
+        literals=literals,
+        evidence=synthetic_evidence(),
+        domains=(
+            DomainText(domain_id=f"{12:016x}", name="combined", text=DOMAIN, n_operators=5, is_main=True),
+            *(
+                DomainText(domain_id=f"{k:016x}", name=f"p{k // 4 + 1}-{k % 4}", text=DOMAIN, n_operators=5)
+                for k in range(12)
+            ),
+        ),
+        plans=synthetic_plans(),
+        goals=GOALS,
+        failures=(
+            Failure(kind="segment", subject="p2-one-1 Right_hand", cause="one Take missed: 0.04 s long"),
+        ),
+    )
+
+
 @pytest.fixture(scope="session")
 def frames():
     return synthetic_frames()
@@ -337,3 +574,8 @@ def episodes():
 @pytest.fixture(scope="session")
 def looks():
     return synthetic_entities()
+
+
+@pytest.fixture(scope="session")
+def report_content():
+    return synthetic_report()

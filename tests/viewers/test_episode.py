@@ -25,7 +25,7 @@ GAP_TICKS = {"cube_green": 250, "Left_hand": 60}
 
 
 @pytest.fixture(scope="module")
-def sources(frames, facts, activities, truth, evidence, episodes, looks):  # noqa: PLR0917
+def sources(frames, facts, activities, truth, evidence, episodes, looks):
     entities = tuple(
         Entity(name=n, type_name=t, shape=s, is_hand=t == "Hand", is_surface=t == "Table")
         for n, (t, s) in looks.items()
