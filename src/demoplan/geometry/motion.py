@@ -4,6 +4,7 @@ import numpy as np
 from scipy.ndimage import correlate1d
 
 from demoplan.geometry.rotations import Array
+from demoplan.geometry.switching import Bools
 
 
 def velocities(positions_xyz_m: Array, tick_s: float, window_s: float) -> Array:
@@ -29,11 +30,12 @@ def velocities(positions_xyz_m: Array, tick_s: float, window_s: float) -> Array:
     offsets: Array = np.arange(-half, half + 1, dtype=np.float64)
     squares: Array = np.asarray(offsets**2, dtype=np.float64)
     ones: Array = np.ones(len(offsets))
-    is_seen = np.isfinite(positions_xyz_m).all(axis=-1, keepdims=True)
-    # Far from the origin the sums would cancel: fit about the first reading of each point.
+    is_seen: Bools = np.asarray(np.isfinite(positions_xyz_m).all(axis=-1, keepdims=True))
+    # Far from the origin the sums would cancel: fit about the middle of what was seen.
     filled: Array = np.where(is_seen, positions_xyz_m, 0.0)
-    n_seen = np.maximum(is_seen.sum(axis=-2, keepdims=True), 1)
-    filled = np.asarray(np.where(is_seen, filled - filled.sum(axis=-2, keepdims=True) / n_seen, 0.0))
+    n_seen: Array = is_seen.sum(axis=-2, keepdims=True).astype(np.float64)
+    middle: Array = filled.sum(axis=-2, keepdims=True) / np.maximum(n_seen, 1.0)
+    filled = np.where(is_seen, positions_xyz_m - middle, 0.0)
     seen: Array = is_seen.astype(np.float64)
 
     def windowed(values: Array, weights: Array) -> Array:

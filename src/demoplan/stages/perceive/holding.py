@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from demoplan.geometry import Array, Bools, hysteresis
+from demoplan.geometry import Array, Bools, conjugate, hysteresis, rotate, velocities
 from demoplan.stages.perceive.bodies import Bodies
 from demoplan.stages.perceive.evidence import Evidence, Groundings, Known, Numbers
 
@@ -15,8 +15,8 @@ def held(bodies: Bodies, groundings: Groundings, numbers: Numbers, _: dict[str, 
     (so that a fist passing over an object does not hold it). It ends when the hand opens or o is farther than
     ``exit_m``: dropped.
 
-    Without: o and h are within ``enter_m``, and move together, faster than ``carry_m_per_s`` and with less
-    than ``slip_ratio`` of that between them. It began when they came to rest against each other
+    Without: o is within ``enter_m`` of h and faster than ``carry_m_per_s``, while the hand sees it move at
+    less than ``slip_ratio`` of that. It began when they came to rest against each other
     (within ``slip_m_per_s``), and lasts until o is farther than ``exit_m``, or h moves away while o lies
     still.
     """
@@ -30,8 +30,7 @@ def held(bodies: Bodies, groundings: Groundings, numbers: Numbers, _: dict[str, 
     for hand, rows in rows_of.items():
         objects = [groundings[row][1] for row in rows]
         distance = np.stack([bodies.distance(hand, other) for other in objects])
-        away = bodies.velocity[objects] - bodies.velocity[hand]
-        slip = np.linalg.norm(away, axis=-1)
+        slip = _slip(bodies, hand, objects)
         speed = np.nan_to_num(bodies.speed[objects])
         with np.errstate(invalid="ignore"):
             together = (speed > numbers["carry_m_per_s"]) & (slip <= numbers["slip_ratio"] * speed)
@@ -49,6 +48,20 @@ def held(bodies: Bodies, groundings: Groundings, numbers: Numbers, _: dict[str, 
             enters[rows], stays[rows] = _by_motion(distance, nearest & together, slip, speed, numbers)
             observed[rows] = np.isfinite(distance)
     return Evidence(enters, stays, observed)
+
+
+def _slip(bodies: Bodies, hand: int, objects: list[int]) -> Array:
+    """Speeds [m/s] ``(k, n)`` of objects as the hand sees them: 0 for what it carries, however it turns.
+
+    Without an orientation of the hand, differences of velocities, which turning makes larger.
+    """
+    away = bodies.position_xyz_m[objects] - bodies.position_xyz_m[hand]
+    turned = bodies.orientation_wxyz[hand]
+    seen_by_hand = rotate(np.broadcast_to(conjugate(turned), (*away.shape[:-1], 4)), away)
+    in_hand_frame = velocities(seen_by_hand, bodies.tick_s, bodies.velocity_window_s)
+    in_world = bodies.velocity[objects] - bodies.velocity[hand]
+    is_turned = np.isfinite(turned).all(axis=-1, keepdims=True) & np.isfinite(in_hand_frame)
+    return np.asarray(np.linalg.norm(np.where(is_turned, in_hand_frame, in_world), axis=-1))
 
 
 def _at_onset(state: Bools, condition: Bools) -> Bools:
