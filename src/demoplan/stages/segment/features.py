@@ -5,13 +5,14 @@ hand; never of places in the room, names of instances or left and right. So a se
 one person, with one layout and one rig, has a chance with the next. Time enters in seconds, not in ticks.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from demoplan.geometry import Array, conjugate, rotate, velocities
 from demoplan.stages.segment import windows
+from demoplan.stages.segment.carrying import CarryParams, carried
 from demoplan.stages.segment.tracks import Tracks
 
 
@@ -27,6 +28,8 @@ class FeatureParams:
     """Lengths of the windows of past and future over which signals are averaged [s]."""
     horizon_s: float = 3.0
     """Times to events are clipped here [s]: farther events say nothing about now."""
+    carrying: CarryParams = field(default_factory=CarryParams)
+    """When an object counts as travelling with a hand, besides facts that say that it is in hand."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,7 +105,7 @@ def _signals(tracks: Tracks, params: FeatureParams) -> dict[str, Array]:
     }
 
     things = _Things.of(tracks, params)
-    is_held = tracks.in_hand
+    is_held = tracks.in_hand | carried(things.distance, things.speed, things.height, tick_s, params.carrying)
     is_holding = np.asarray(is_held.any(axis=1))
     held = is_held.argmax(axis=1) if things.n else np.zeros((n_hands, length), dtype=np.int64)
     latest, coming = windows.last_true(is_holding), windows.next_true(is_holding)

@@ -9,6 +9,7 @@ import numpy as np
 from demoplan.errors import DataError
 from demoplan.geometry import Array
 from demoplan.ids import ContentHash, content_hash
+from demoplan.stages.segment.carrying import CarryParams
 from demoplan.stages.segment.decoding import Grammar
 from demoplan.stages.segment.features import FeatureParams
 from demoplan.stages.segment.trees import Trees, from_plain, to_plain
@@ -119,13 +120,24 @@ def _array(values: Any, shape: tuple[int, ...], what: str) -> Array:
 
 
 def _feature_params(plain: Any) -> FeatureParams:
-    known = {field.name for field in fields(FeatureParams)}
-    if set(plain) != known:
-        raise DataError(f"segmenter: feature_params are {sorted(plain)}; expected {sorted(known)}")
+    carrying = _numbers(plain["carrying"], CarryParams, "feature_params.carrying")
+    rest = {name: value for name, value in plain.items() if name != "carrying"}
+    return FeatureParams(
+        **_numbers(rest, FeatureParams, "feature_params", besides="carrying"),
+        carrying=CarryParams(**carrying),
+    )
+
+
+def _numbers(plain: Any, of: type, what: str, besides: str = "") -> dict[str, Any]:
+    """Positive numbers, or tuples of them, for exactly the fields of a dataclass."""
+    known = {field.name for field in fields(of)} - {besides}
+    if not isinstance(plain, dict) or set(plain) != known:
+        raise DataError(f"segmenter: {what} must have exactly {sorted(known)}")
     numbers = {
         name: tuple(float(v) for v in value) if isinstance(value, list) else float(value)
         for name, value in plain.items()
     }
-    if not all(np.all(np.asarray(value) > 0) and np.all(np.isfinite(value)) for value in numbers.values()):
-        raise DataError("segmenter: feature_params must be finite and positive")
-    return FeatureParams(**numbers)  # type: ignore[arg-type]
+    for name, value in numbers.items():
+        if not (np.all(np.isfinite(value)) and np.all(np.asarray(value) > 0)):
+            raise DataError(f"segmenter: {what}.{name} must be finite and positive, not {value}")
+    return numbers
