@@ -17,7 +17,6 @@ from demoplan.viewers import rerun_adapter
 from demoplan.viewers.compose import compose_episode
 from demoplan.viewers.episode import open_episode, render_episode_png, save_episode
 from demoplan.viewers.episode_view import Entity, Threshold
-from demoplan.viewers.lanes import speeds
 from demoplan.viewers.sources import EpisodeTables, entities_of, thresholds_of
 
 EPISODE = "p1-two-both"
@@ -188,14 +187,14 @@ def test_there_are_as_many_contact_lines_as_contacts_in_sight(sources, facts, se
     assert view.contacts.counts[at] == expected
 
 
-def test_speed_of_a_body_that_moves_evenly_is_its_speed_and_unknown_across_gaps():
-    ticks = np.arange(200) * 10_000_000
-    positions = np.column_stack([np.arange(200) * 0.003, np.zeros(200), np.arange(200) * 0.004])
-    positions[100:110] = np.nan
-    found = speeds(ticks, positions, 100_000_000)
-    assert np.allclose(found[np.isfinite(found)], 0.5)
-    assert np.isnan(found[95:115]).all()
-    assert np.isfinite(found[:95]).all()
+def test_speed_is_what_the_thresholds_are_compared_with_and_unknown_where_unseen(sources):
+    (chart,) = [c for c in compose_episode(sources).charts if c.name == "speed"]
+    assert [t.name for t in chart.thresholds] == ["handMove.enter_m_per_s"]
+    (left,) = [c for c in chart.curves if c.name == "Left_hand"]
+    assert np.flatnonzero(np.isnan(left.values)).tolist() == list(range(400, 460))
+    seconds = (left.ticks_ns - left.ticks_ns[0]) * 1e-9
+    assert np.median(left.values[seconds < 3.9]) < 0.03
+    assert left.values[(seconds > 9.0) & (seconds < 10.2)].max() > 0.3
 
 
 def test_trails_do_not_bridge_gaps(sources):
@@ -209,10 +208,12 @@ VOCABULARY = Vocabulary(
     types=TypeHierarchy.of({"Hand": "object", "Table": "Surface", "Cube": "Graspable", "WoodenCube": "Cube"}),
     predicates=(
         PredicateRule(
-            Signature("handMove", ("Hand",)), "speed", (("enter_m_per_s", 0.06), ("exit_m_per_s", 0.04))
+            Signature("handMove", ("Hand",)), "moving", (("enter_m_per_s", 0.06), ("exit_m_per_s", 0.04))
         ),
-        PredicateRule(Signature("handOpen", ("Hand",)), "grip", (("enter_grip", 0.6),)),
-        PredicateRule(Signature("inTouch", ("object", "object")), "gap", (("enter_m", 0.01),)),
+        PredicateRule(
+            Signature("handOpen", ("Hand",)), "hand_open", (("enter_fraction", 0.6), ("min_true_s", 0.05))
+        ),
+        PredicateRule(Signature("inTouch", ("object", "object")), "in_touch", (("enter_m", 0.01),)),
     ),
     shapes=(("Cube", Shape("box", (0.05, 0.05, 0.05))),),
 )
@@ -243,7 +244,7 @@ def test_thresholds_are_those_of_a_hands_speed_and_grip():
     assert [(t.quantity, t.name, t.value) for t in thresholds_of(VOCABULARY)] == [
         ("speed", "handMove.enter_m_per_s", 0.06),
         ("speed", "handMove.exit_m_per_s", 0.04),
-        ("grip", "handOpen.enter_grip", 0.6),
+        ("grip", "handOpen.enter_fraction", 0.6),
     ]
 
 

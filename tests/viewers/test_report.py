@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from demoplan import tables
-from demoplan.viewers.report import DomainText, Picture, ReportContent, render_report
+from demoplan.viewers.report import DomainText, Picture, RefutedPlan, ReportContent, render_report
 from demoplan.viewers.report.activity_bars import episode_bars
 from demoplan.viewers.report.markup import ink_on, visible
 from demoplan.viewers.report.pddl_text import coloured
@@ -124,7 +124,7 @@ def test_key_results_keep_to_the_methods_used_but_the_comparison_shows_all(repor
     assert {row.method for row in rows if row.suite == "planning"} == {"combined domain", "single domains"}
     assert {row.method for row in key_results(report_content.scores, ())} >= {"naive", "rule_tree"}
     grid = score_grid(report_content.scores, "segmentation")
-    assert [method for method, _ in grid.rows] == ["decision_tree", "naive", "rule_tree"]
+    assert grid.methods == ("decision_tree", "naive", "rule_tree")
     assert score_grid(report_content.scores, "planning") is None
 
 
@@ -166,6 +166,31 @@ def test_a_later_attempt_that_succeeds_counts(report_content):
     matrix = plan_matrix(pl.concat([report_content.plans, better]), report_content.domains, ())
     cells = [c for _, cells, _, _ in matrix.rows for c in cells if c.n_attempts == 2]
     assert [(c.is_solved, c.n_steps) for c in cells] == [(True, 5)]
+
+
+def test_a_plan_that_could_not_happen_is_not_solved_and_says_why(report_content):
+    goal = report_content.goals[0][0]
+    refuted = RefutedPlan(
+        domain_id=f"{12:016x}", goal=goal, cause="step 2 takes cube_red from under cube_blue"
+    )
+    matrix = plan_matrix(report_content.plans, report_content.domains, report_content.goals, (refuted,))
+    assert matrix.totals[0] == (3, 4)
+    words = Page(render_report(dataclasses.replace(report_content, refuted=(refuted,)))).words
+    assert "plan one on one with combined impossible: step 2 takes cube_red from under cube_blue" in words
+
+
+def test_suites_without_a_total_show_what_they_have_and_bare_figures_stay_in_the_comparison(report_content):
+    bare = {"low": None, "high": None, "metric": "f1 Reach"}
+    scores = report_content.scores
+    extra = scores.filter(pl.col("metric") == "edit").with_columns(
+        pl.lit(v, dtype=scores.schema[k]).alias(k) for k, v in bare.items()
+    )
+    planning = scores.filter(pl.col("suite") == "planning").with_columns(subject=pl.lit("fresh domains"))
+    rest = scores.filter(pl.col("suite") != "planning")
+    rows = key_results(pl.concat([rest, extra, planning]), ())
+    assert {row.subject for row in rows if row.suite == "planning"} == {"fresh domains"}
+    assert "f1 Reach" not in {row.metric for row in rows}
+    assert "f1 Reach" in dict(score_grid(pl.concat([rest, extra]), "segmentation").rows)
 
 
 def test_every_failure_is_a_row_with_its_cause(page):

@@ -5,9 +5,9 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 import polars as pl
 
-from demoplan.geometry import Array
+from demoplan.geometry import speeds
 from demoplan.viewers import colours
-from demoplan.viewers.episode_view import Body, Chart, Curve, Lane, Note, Threshold, Ticks
+from demoplan.viewers.episode_view import Body, Chart, Curve, Lane, Note, Threshold
 from demoplan.viewers.scene import columns_of
 from demoplan.viewers.sources import EpisodeViewParams
 
@@ -93,26 +93,6 @@ def fact_lanes_of(facts: pl.DataFrame | None) -> tuple[Lane, ...]:
     return tuple(lanes)
 
 
-def speeds(ticks_ns: Ticks, positions_xyz_m: Array, window_ns: int) -> Array:
-    """Speeds ``(n,)`` [m/s] by central differences over a window; NaN where either end is not seen.
-
-    Args:
-        ticks_ns: ``(n,)`` evenly spaced ticks.
-        positions_xyz_m: ``(n, 3)``; NaN where not seen.
-        window_ns: Width of the difference [ns]; at least two ticks are taken.
-    """
-    if len(ticks_ns) < 2:
-        return np.full(len(ticks_ns), np.nan)
-    step = max(1, int(ticks_ns[1] - ticks_ns[0]))
-    half = max(1, round(window_ns / step / 2))
-    index = np.arange(len(ticks_ns))
-    low = np.clip(index - half, 0, None)
-    high = np.clip(index + half, None, len(ticks_ns) - 1)
-    away = np.linalg.norm(positions_xyz_m[high] - positions_xyz_m[low], axis=1)
-    result: Array = away / ((ticks_ns[high] - ticks_ns[low]) * 1e-9)
-    return result
-
-
 def charts_of(
     hands: Sequence[Body],
     tracks: dict[str, pl.DataFrame],
@@ -124,7 +104,11 @@ def charts_of(
     for body in hands:
         track = tracks[body.entity.name]
         ticks = track["tick_ns"].to_numpy()
-        values = speeds(ticks, columns_of(track["position_xyz_m"], 3), params.speed_window_ns)
+        positions = columns_of(track["position_xyz_m"], 3)
+        tick_s = float(ticks[1] - ticks[0]) * 1e-9 if len(ticks) > 1 else 1.0
+        # The fit reaches into a gap from either side; what was not seen has no speed.
+        is_seen = np.isfinite(positions).all(axis=1)
+        values = np.where(is_seen, speeds(positions, tick_s, params.speed_window_s), np.nan)
         name, colour = body.entity.name, body.colour
         speed.append(Curve(name=name, unit="m/s", colour=colour, ticks_ns=ticks, values=values))
         if body.grips is not None:

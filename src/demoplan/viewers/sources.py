@@ -4,8 +4,10 @@ from dataclasses import dataclass
 
 import dataframely as dy
 
-from demoplan.language.vocabulary import Shape, Vocabulary
+from demoplan.language.vocabulary import Vocabulary
 from demoplan.manifests.mapping import Mapping
+from demoplan.stages.perceive import PerceiveParams
+from demoplan.stages.perceive.bodies import shape_of
 from demoplan.tables import Activities, Episodes, Evidence, Facts, Frames
 from demoplan.viewers.episode_view import Entity, Threshold
 
@@ -22,8 +24,8 @@ class EpisodeViewParams:
     """How often contact lines are redrawn [ns]."""
     contact_predicate: str = "inTouch"
     """Binary predicate whose atoms are drawn as lines."""
-    speed_window_ns: int = 100_000_000
-    """Width of the central difference that gives a hand's speed [ns]."""
+    speed_window_s: float = PerceiveParams().velocity_window_s
+    """Window of a hand's speed: that of the stage which compares it with its thresholds [s]."""
     surface_extent_m: float = 0.3
     """A contact with a body wider than this is drawn to its nearest point, not to its middle [m]."""
 
@@ -52,14 +54,7 @@ def entities_of(mapping: Mapping, vocabulary: Vocabulary) -> tuple[Entity, ...]:
     An instance takes its own shape, else its type's, else its nearest ancestor's, else it is a point. Hands
     and surfaces are what stands below the types ``Hand`` and ``Surface``, where the vocabulary has them.
     """
-    shapes = dict(vocabulary.shapes)
     types = vocabulary.types
-
-    def shape_of(type_name: str) -> Shape:
-        for ancestor in types.ancestors(type_name):
-            if ancestor in shapes:
-                return shapes[ancestor]
-        return Shape("point", (0.0, 0.0, 0.0))
 
     def is_a(type_name: str, family: str) -> bool:
         return family in types.ancestors(type_name)
@@ -68,11 +63,7 @@ def entities_of(mapping: Mapping, vocabulary: Vocabulary) -> tuple[Entity, ...]:
         Entity(
             name=name,
             type_name=entity.type,
-            shape=(
-                shape_of(entity.type)
-                if entity.shape is None
-                else Shape(entity.shape.kind, entity.shape.size_xyz_m, entity.shape.centre_xyz_m)
-            ),
+            shape=shape_of(entity, vocabulary),
             is_hand=is_a(entity.type, "Hand"),
             is_surface=is_a(entity.type, "Surface"),
             fixed_position_xyz_m=None if entity.fixed is None else entity.fixed.position_xyz_m,
@@ -84,14 +75,16 @@ def entities_of(mapping: Mapping, vocabulary: Vocabulary) -> tuple[Entity, ...]:
     )
 
 
+_SIGNALS = {"moving": "speed", "hand_open": "grip"}
+"""Definitions that compare one signal of a hand with an enter and an exit number."""
+
+
 def thresholds_of(vocabulary: Vocabulary) -> tuple[Threshold, ...]:
     """The vocabulary's numbers that a hand's speed or grip is compared with, in its order."""
-    found = []
-    for rule in vocabulary.predicates:
-        if len(rule.signature.argument_types) != 1:
-            continue
-        for name, value in rule.numbers:
-            quantity = "speed" if "m_per_s" in name else "grip" if "grip" in name else None
-            if quantity is not None:
-                found.append(Threshold(quantity=quantity, name=f"{rule.signature.name}.{name}", value=value))
-    return tuple(found)
+    return tuple(
+        Threshold(quantity=_SIGNALS[rule.definition], name=f"{rule.signature.name}.{name}", value=value)
+        for rule in vocabulary.predicates
+        if rule.definition in _SIGNALS
+        for name, value in rule.numbers
+        if name.startswith(("enter_", "exit_"))
+    )

@@ -6,6 +6,7 @@ from demoplan.viewers.report.content import (
     Failure,
     Picture,
     Reference,
+    RefutedPlan,
     ReportContent,
 )
 from demoplan.viewers.report.render import render_report
@@ -16,6 +17,7 @@ __all__ = [
     "Failure",
     "Picture",
     "Reference",
+    "RefutedPlan",
     "ReportContent",
     "render_report",
 ]

@@ -61,6 +61,16 @@ class Failure:
 
 
 @dataclass(frozen=True, kw_only=True)
+class RefutedPlan:
+    """A plan that is valid in its domain and impossible in the world, as taking a covered cube is."""
+
+    domain_id: str
+    goal: str
+    """As the plans state it."""
+    cause: str
+
+
+@dataclass(frozen=True, kw_only=True)
 class Picture:
     """A PNG with its caption, embedded into the page."""
 
@@ -96,6 +106,8 @@ class ReportContent:
     plans: dy.DataFrame[Plans] | None = None
     goals: tuple[tuple[str, str], ...] = ()
     """(goal as the plans state it, name to call it by) pairs, in the order of the matrix's rows."""
+    refuted: tuple[RefutedPlan, ...] = ()
+    """Plans that the planner's tables call solved, and that could not happen."""
     failures: tuple[Failure, ...] = ()
-    """Beyond those that the tables themselves tell."""
+    """Beyond those that the tables themselves tell. If any is of the kind ``plan``, these are all of them."""
     pictures: tuple[Picture, ...] = ()

@@ -73,7 +73,7 @@ def failure_rows(content: ReportContent, matrix: PlanMatrix | None) -> tuple[Fai
             cause = f"{row['n_rejected']} of {row['n_messages']} messages rejected"
             cause += f": {row['note']}" if row["note"] else ""
             rows.append(Failure(kind="topic", subject=f"{row['episode_id']} {row['topic']}", cause=cause))
-    if matrix is not None:
+    if matrix is not None and not any(failure.kind == "plan" for failure in content.failures):
         for goal, cells, _, _ in matrix.rows:
             for domain, cell in zip(matrix.domains, cells, strict=True):
                 if cell is not None and not cell.is_solved:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import polars as pl
 
-from demoplan.viewers.report.content import DomainText
+from demoplan.viewers.report.content import DomainText, RefutedPlan
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,9 +33,15 @@ class PlanMatrix:
 
 
 def plan_matrix(
-    plans: pl.DataFrame | None, domains: Sequence[DomainText], goals: Sequence[tuple[str, str]]
+    plans: pl.DataFrame | None,
+    domains: Sequence[DomainText],
+    goals: Sequence[tuple[str, str]],
+    refuted: Sequence[RefutedPlan] = (),
 ) -> PlanMatrix | None:
-    """The success matrix. Solved means: an attempt gave a plan, and the plan was validated independently."""
+    """The success matrix.
+
+    Solved means: an attempt gave a plan, the plan was validated independently, and nobody has refuted it.
+    """
     if plans is None or plans.is_empty():
         return None
     names = {d.domain_id: d.name for d in domains}
@@ -47,9 +53,10 @@ def plan_matrix(
     attempts: dict[tuple[str, str], list[dict[str, object]]] = {}
     for row in plans.sort("domain_id", "goal", "problem_id", "attempt").iter_rows(named=True):
         attempts.setdefault((row["goal"], row["domain_id"]), []).append(row)
+    against = {(plan.goal, plan.domain_id): plan.cause for plan in refuted}
     rows = []
     for goal in rows_in_order:
-        cells = tuple(_plan_cell(attempts.get((goal, domain), [])) for domain in columns)
+        cells = tuple(_plan_cell(attempts.get((goal, d), []), against.get((goal, d))) for d in columns)
         tried = [cell for cell in cells if cell is not None]
         rows.append((calls.get(goal, goal), cells, sum(c.is_solved for c in tried), len(tried)))
     totals = []
@@ -59,7 +66,7 @@ def plan_matrix(
     return PlanMatrix(domains=tuple(names.get(d, d) for d in columns), rows=tuple(rows), totals=tuple(totals))
 
 
-def _plan_cell(attempts: Sequence[dict[str, object]]) -> PlanCell | None:
+def _plan_cell(attempts: Sequence[dict[str, object]], refuted: str | None) -> PlanCell | None:
     """The cheapest validated plan, else the last attempt."""
     if not attempts:
         return None
@@ -68,13 +75,15 @@ def _plan_cell(attempts: Sequence[dict[str, object]]) -> PlanCell | None:
     outcome = str(best["outcome"])
     if outcome == "solved" and not good:
         outcome = "not validated"
+    if good and refuted is not None:
+        outcome = "impossible"
     steps, n_steps, cost = best["steps"], best["n_steps"], best["cost"]
     return PlanCell(
         outcome=outcome.replace("_", " "),
-        is_solved=bool(good),
+        is_solved=bool(good) and refuted is None,
         n_steps=n_steps if isinstance(n_steps, int) else None,
         cost=cost if isinstance(cost, int) else None,
         n_attempts=len(attempts),
         steps=tuple(steps) if isinstance(steps, list) else (),
-        message=str(best["message"] or ""),
+        message=str(best["message"] or "") if not good or refuted is None else refuted,
     )

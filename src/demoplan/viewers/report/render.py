@@ -51,7 +51,7 @@ def render_report(content: ReportContent) -> str:
         The page; the same content gives the same text, whatever order the tables' rows are in.
     """
     environment = _environment()
-    matrix = plan_matrix(content.plans, content.domains, content.goals)
+    matrix = plan_matrix(content.plans, content.domains, content.goals, content.refuted)
     episodes = episode_rows(content)
     cards = operator_cards(content)
     bars = episode_bars(content.activities, content.truth)

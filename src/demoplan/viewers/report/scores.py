@@ -15,6 +15,8 @@ class ScoreRow:
     """A figure with its interval, drawn where it lies between 0 and 1."""
 
     suite: str
+    subject: str
+    """What was scored; empty for everything."""
     method: str
     metric: str
     value: str
@@ -30,22 +32,25 @@ def key_results(
 ) -> tuple[ScoreRow, ...]:
     """The scores over everything, beside the figures that they are held against.
 
-    Where a suite knows some of ``methods``, the others are left to the comparison.
+    A suite without a score for ``all`` shows what it has. Where it knows some of ``methods``, the others are
+    left to the comparison, as are the figures without an interval where others have one.
     """
     if scores is None:
         return ()
-    used = scores.group_by("suite").agg(pl.col("method").is_in(list(methods)).any().alias("has_used"))
-    scores = scores.join(used, on="suite").filter(~pl.col("has_used") | pl.col("method").is_in(list(methods)))
     known = {(r.suite, r.metric): r for r in references}
+    is_whole, is_used = pl.col("subject") == "all", pl.col("method").is_in(list(methods))
+    chosen = scores.filter(is_whole | ~is_whole.any().over("suite"))
+    chosen = chosen.filter(is_used | ~is_used.any().over("suite"))
+    has_low = pl.col("low").is_not_null()
+    chosen = chosen.filter(has_low | ~has_low.any().over("suite"))
     rows = []
-    for row in (
-        scores.filter(pl.col("subject") == "all").sort("suite", "metric", "method").iter_rows(named=True)
-    ):
+    for row in chosen.sort("suite", "subject", "metric", "method").iter_rows(named=True):
         reference = known.get((row["suite"], row["metric"]))
         has_interval = row["low"] is not None and row["high"] is not None
         rows.append(
             ScoreRow(
                 suite=row["suite"],
+                subject="" if row["subject"] == "all" else row["subject"],
                 method=row["method"],
                 metric=row["metric"],
                 value=number(row["value"]),
@@ -63,42 +68,30 @@ def key_results(
 
 @dataclass(frozen=True, kw_only=True)
 class ScoreGrid:
-    """Methods against metrics for one subject, with the best of each metric marked."""
+    """Metrics against methods, with the best method of each metric marked."""
 
-    metrics: tuple[str, ...]
+    methods: tuple[str, ...]
     rows: tuple[tuple[str, tuple[tuple[str, bool], ...]], ...]
-    """(method, ((figure, is best), …)) in the order of ``metrics``."""
+    """(metric, ((figure, is best), …)) in the order of ``methods``."""
 
 
 def score_grid(scores: pl.DataFrame | None, suite: str) -> ScoreGrid | None:
-    """The methods of a suite side by side; null where no two have a metric in common."""
+    """The methods of a suite side by side over everything; null where no two have a metric in common."""
     if scores is None:
         return None
     chosen = scores.filter((pl.col("suite") == suite) & (pl.col("subject") == "all"))
-    methods = sorted(chosen["method"].unique())
-    metrics = tuple(sorted(chosen["metric"].unique()))
     if chosen["metric"].n_unique() == chosen.height:
         return None
+    methods = tuple(sorted(chosen["method"].unique()))
     figures = {(m, k): v for m, k, v in chosen.select("method", "metric", "value").iter_rows()}
-    best: dict[str, float] = {}
-    for metric in metrics:
-        known = [v for m in methods if (v := figures.get((m, metric))) is not None]
-        # A duration or an error is better when it is smaller; which, a name does not tell: mark ratios only.
-        if known and all(0.0 <= v <= 1.0 for v in known):
-            best[metric] = max(known)
-    return ScoreGrid(
-        metrics=metrics,
-        rows=tuple(
-            (
-                method,
-                tuple(
-                    (number(v := figures.get((method, metric))), v is not None and best.get(metric) == v)
-                    for metric in metrics
-                ),
-            )
-            for method in methods
-        ),
-    )
+    rows = []
+    for metric in sorted(chosen["metric"].unique()):
+        values = [figures.get((method, metric)) for method in methods]
+        known = [value for value in values if value is not None]
+        # An error or a duration is better when it is smaller; a name does not tell which, so ratios only.
+        best = max(known) if known and all(0.0 <= value <= 1.0 for value in known) else None
+        rows.append((metric, tuple((number(v), v is not None and v == best) for v in values)))
+    return ScoreGrid(methods=methods, rows=tuple(rows))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -108,8 +101,8 @@ class ConfusionGrid:
     method: str
     labels: tuple[str, ...]
     unit: str
-    rows: tuple[tuple[str, tuple[tuple[int, float], ...], float | None], ...]
-    """(true label, ((count, share of the row), …), recall)."""
+    rows: tuple[tuple[str, tuple[tuple[int, float], ...], int], ...]
+    """(true label, ((count, share of the row), …), count of the row)."""
     accuracy: float | None
 
 
@@ -121,7 +114,7 @@ def confusion_grid(confusion: Confusion) -> ConfusionGrid:
         total = sum(counts)
         hits += counts[k]
         shares = tuple((count, count / total if total else 0.0) for count in counts)
-        rows.append((label, shares, counts[k] / total if total else None))
+        rows.append((label, shares, total))
     everything = sum(sum(counts) for counts in confusion.counts)
     return ConfusionGrid(
         method=confusion.method,
