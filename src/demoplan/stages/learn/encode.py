@@ -46,6 +46,8 @@ class Encoded:
     """The transitions themselves in that order, without their states."""
     sequence: Ints
     """Which (episode, hand) each belongs to, shape (n,); rows of one sequence follow each other."""
+    is_first: NDArray[np.bool_]
+    """No activity of its hand came before."""
     activity: Ints
     activities: tuple[str, ...]
     hand: Ints
@@ -139,10 +141,12 @@ def encode(
     order = np.argsort(keys, kind="stable")
     activities = table["activity"].unique().sort()
     changed = (table["episode_id"] != table["episode_id"].shift()) | (table["hand"] != table["hand"].shift())
+    has_no_arguments = table["arguments"].is_null()
     has_arguments = table.height > 0 and table["arguments"].null_count() < table.height
     return Encoded(
         table=table.drop("before", "after", "unknown_before", "unknown_after", "objects"),
         sequence=changed.fill_null(True).cum_sum().to_numpy().astype(np.int64),
+        is_first=changed.fill_null(True).to_numpy() & has_no_arguments.to_numpy(),
         activity=_codes(table["activity"], activities),
         activities=tuple(activities),
         hand=_codes(table["hand"], names),

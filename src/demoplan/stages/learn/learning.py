@@ -38,7 +38,7 @@ def learn(
     transitions: dy.DataFrame[Transitions],
     types: TypeHierarchy,
     predicates: Sequence[Signature],
-    params: LearnParams = LearnParams(),  # noqa: B008 - frozen
+    params: LearnParams = LearnParams(),
 ) -> Learned:
     """Operators that explain the transitions, with the counts behind every literal.
 
@@ -121,7 +121,7 @@ def planner_cost(count: int, most: int, beta: float, params: LearnParams) -> int
     >>> planner_cost(12, 12, 0.75, LearnParams()), planner_cost(3, 12, 0.75, LearnParams())
     (10, 30)
     """
-    bits = -log2(beta) if params.cost == "beta" else log2(max(most, 1) / max(count, 1))
+    bits = -log2(beta) if params.cost == "beta" else log2(max(most, count, 1) / max(count, 1))
     return min(params.step_cost + round(params.cost_per_bit * bits), MAX_COST)
 
 

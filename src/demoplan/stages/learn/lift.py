@@ -6,8 +6,9 @@ from typing import cast
 
 import numpy as np
 import polars as pl
+from numpy.typing import NDArray
 
-from demoplan.stages.learn.bind import HAND, OBJECT, TO, Bindings
+from demoplan.stages.learn.bind import HAND, OBJECT, Bindings
 from demoplan.stages.learn.encode import NOBODY, Encoded, Ints
 from demoplan.stages.learn.params import LearnParams
 from demoplan.stages.learn.settle import FREE, GAP, Settled
@@ -30,6 +31,8 @@ class Pattern:
     """A distinct lifted transition. What is in neither set of a side was observed false."""
 
     activity: str
+    is_first: bool
+    """Nothing came before it: the hand's track begins with it."""
     grip: str
     """What became of the hand's hold: one of ``GRIPS``."""
     types: tuple[str | None, ...]
@@ -38,6 +41,11 @@ class Pattern:
     """Atoms true before and after."""
     unknown: tuple[frozenset[LiftedAtom], frozenset[LiftedAtom]]
     count: int
+
+    @property
+    def is_uneventful(self) -> bool:
+        """The track begins with it and nothing changes: it is a start and not a transition."""
+        return self.is_first and self.true[BEFORE] == self.true[AFTER]
 
 
 @dataclass(frozen=True)
@@ -112,8 +120,7 @@ def _signatures(
             owner, atom = states.gather(source[subset])
             place, predicate, variables = _map_arguments(data, bound, subset[owner], atom)
             is_grip = np.isin(predicate, grip_predicates) & (variables[:, 0] == HAND)
-            is_support = ((variables == -1) | ((variables >= OBJECT) & (variables <= TO))).all(axis=1)
-            is_support &= variables[:, 0] != -1
+            is_support = ((variables == -1) | (variables >= OBJECT)).all(axis=1) & (variables[:, 0] != -1)
             if kind == _ANY:
                 keep = ~(is_grip & (hand != own)[place]) & ~(is_support & (support != own)[place])
             else:
@@ -128,10 +135,11 @@ def _signatures(
         .group_by("place", maintain_order=True)
         .agg("code")
     )
-    columns: dict[str, Ints] = {
+    columns: dict[str, Ints | NDArray[np.bool_]] = {
         "place": np.arange(len(rows)),
         "row": rows,
         "activity": data.activity[rows],
+        "is_first": data.is_first[rows],
         "grip": _grips(settled, rows),
     }
     for column in range(bound.shape[1]):
@@ -206,6 +214,7 @@ def _pattern(data: Encoded, row: dict[str, object], n_variables: int, weights: I
     types = [cast("int", row[f"type_{column}"]) for column in range(n_variables)]
     return Pattern(
         activity=data.activities[cast("int", row["activity"])],
+        is_first=bool(row["is_first"]),
         grip=GRIPS[cast("int", row["grip"])],
         types=tuple(data.types[code] if code >= 0 else None for code in types),
         true=(frozen[0], frozen[2]),

@@ -91,6 +91,8 @@ def merge(
     """Group patterns that change hold and support alike, lift their types, and weigh every literal."""
     groups: dict[tuple[object, ...], list[int]] = defaultdict(list)
     for position, pattern in enumerate(lifted.patterns):
+        if pattern.is_uneventful:
+            continue
         mask = tuple(name is not None for name in pattern.types)
         groups[pattern.activity, pattern.grip, mask].append(position)
     drafts = []
@@ -131,6 +133,8 @@ class Relevance:
 
     is_effect: Callable[[LiftedAtom], bool]
     """Whether an atom's change may be an effect."""
+    is_switch: Callable[[LiftedAtom], bool]
+    """Whether an atom is a state of the hand by which activities follow each other."""
     is_condition: Callable[[LiftedAtom, bool, bool], bool]
     """Whether a literal (atom, is_positive, is_changed) may be a precondition."""
 
@@ -253,6 +257,10 @@ def _condition(
     if held + absent == 0:
         return None
     value = held >= absent
+    if held == absent:
+        # As often as not: what the operator changes it from.
+        made_true = made[True]
+        value = made_true is None or not made_true.is_kept
     opposite = made[not value]
     is_changed = opposite is not None and opposite.is_kept
     if not relevance.is_condition(atom, value, is_changed):
@@ -261,7 +269,10 @@ def _condition(
     probability = is_required(support, against, noise)
     is_kept = probability >= params.min_probability
     note = None if is_kept else "holds too irregularly to be a condition"
-    if is_kept and not value and is_changed:
+    if is_changed and relevance.is_switch(atom):
+        # A hand goes from one state to the next: without the former, steps could be done in advance.
+        is_kept, note = True, None if is_kept else "kept against the count: it orders activities"
+    elif is_changed and is_kept and not value:
         # The operator makes it true whatever was before: asking for its absence would only forbid plans.
         is_kept, note = False, "the operator itself makes the opposite true"
     return Candidate(

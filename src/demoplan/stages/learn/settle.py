@@ -1,10 +1,10 @@
 """Boundaries that cut a change in two: give the whole change to one activity.
 
-A hand is open or holds; an object rests on one thing or, once carried, on another. There is nothing in between
-that an operator could state. But segments and predicates come from different thresholds, so that an end can fall
-into the gap: the hand has closed and does not hold yet, the cube has left the table as Put ends and touches the
-next cube in Release. Operators learned from such halves are unsound together: one that adds ``onTop(c, to)``
-without removing ``onTop(c, from)`` leaves a cube in two places.
+A hand is open or holds; an object rests on one thing or, once carried, on another. There is nothing in
+between that an operator could state. But segments and predicates come from different thresholds, so that an
+end can fall into the gap: the hand has closed and does not hold yet, the cube has left the table as Put ends
+and touches the next cube in Release. Operators learned from such halves are unsound together: one that adds
+``onTop(c, to)`` without removing ``onTop(c, from)`` leaves a cube in two places.
 
 A gap is therefore closed: what was before it, and what was after it, are moved to the boundaries of one
 activity, its owner. Where several ends in a row fall into it (a hesitation in mid-carry), all of them before
@@ -178,8 +178,8 @@ def _grip_preference(data: Encoded, run: range, old: int, new: int) -> list[tupl
     return [(int(fits), -row) for fits, row in zip(agrees, run, strict=True)]
 
 
-def _carry_preference(data: Encoded, holds: Ints, run: range, _new: int) -> list[tuple[int, ...]]:
-    """The activity that carries from end to end, and the kind of activity that carries longest."""
+def _carry_preference(data: Encoded, holds: Ints, run: range, new: int) -> list[tuple[int, ...]]:
+    """What acts on the new support, else carries throughout, else is of the kind that carries longest."""
     span = (
         data.table["end_ns"][run.start : run.stop].to_numpy()
         - data.table["start_ns"][run.start : run.stop].to_numpy()
@@ -187,4 +187,8 @@ def _carry_preference(data: Encoded, holds: Ints, run: range, _new: int) -> list
     activity = data.activity[run.start : run.stop]
     carried = (holds[run.start : run.stop] >= 0).sum(axis=1)
     total = [int(span[activity == code].sum()) for code in activity]
-    return [(int(ends), long, -row) for ends, long, row in zip(carried, total, run, strict=True)]
+    aims = data.acted_on[run.start : run.stop] == new
+    return [
+        (int(aim), int(ends), long, -row)
+        for aim, ends, long, row in zip(aims, carried, total, run, strict=True)
+    ]

@@ -111,10 +111,15 @@ def check_balance(draft: Draft, patterns: Sequence[Pattern], params: LearnParams
                 for each in draft.effects
             ),
         )
-    for name in params.supports:
-        gained, lost = LiftedAtom(name, (OBJECT, TO)), LiftedAtom(name, (OBJECT, FROM))
-        if (gained, True) in effects and ((lost, False) not in effects or (lost, True) not in conditions):
-            return replace(draft, quarantine="adds a support without taking the former one away")
+    gains = {a for a, sign in effects if sign and a.predicate in params.supports and a.variables[0] == OBJECT}
+    losses = {
+        a for a, sign in effects if not sign and a.predicate in params.supports and (a, True) in conditions
+    }
+    losses = {a for a in losses if a.variables[0] == OBJECT}
+    if gains and draft.grip == "free":
+        return replace(draft, quarantine="moves an object that the hand holds neither before nor after")
+    if len(gains) > len(losses):
+        return replace(draft, quarantine="adds a support without taking the former one away")
     return draft
 
 
