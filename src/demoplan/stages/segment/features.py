@@ -87,8 +87,7 @@ def _signals(tracks: Tracks, params: FeatureParams) -> dict[str, Array]:
     velocity = velocities(hands_m, tick_s, params.velocity_window_s)
     speed = _norm(velocity)
     is_moving = tracks.is_moving
-    has_grip = np.isfinite(tracks.grip)
-    grip = np.where(has_grip, tracks.grip, -1.0)
+    grip = _relative_grip(tracks.grip)
     signals: dict[str, Array] = {
         "hand_speed": speed,
         "hand_drift": _norm(windows.difference(hands_m, 0.6, tick_s, axis=1)),
@@ -101,7 +100,7 @@ def _signals(tracks: Tracks, params: FeatureParams) -> dict[str, Array]:
         "moving_for": windows.seconds_since(~is_moving, horizon_s, tick_s),
         "moving_until": windows.seconds_until(~is_moving, horizon_s, tick_s),
         "grip": grip,
-        "grip_rate": np.where(has_grip, windows.difference(grip, params.velocity_window_s, tick_s), 0.0),
+        "grip_rate": windows.difference(grip, params.velocity_window_s, tick_s),
     }
 
     things = _Things.of(tracks, params)
@@ -265,6 +264,27 @@ def _norm(vectors: Array) -> Array:
 def _above_low(height_m: Array) -> Array:
     """Height above a body's own low of the episode: the table's height does not matter."""
     return height_m - np.quantile(height_m, 0.02, axis=-1, keepdims=True)
+
+
+def _relative_grip(grip: Array) -> Array:
+    """Opening of each hand ``(h, t)`` within the range that it uses; −1 throughout without a signal.
+
+    Triggers and fingers end at other readings for every person and device. A hand that keeps still is open or
+    closed by its reading alone. Gaps keep the last reading.
+    """
+    is_known = np.isfinite(grip)
+    has_signal = is_known.any(axis=1, keepdims=True)
+    latest = np.maximum(windows.last_true(is_known), is_known.argmax(axis=1)[:, None])
+    filled = np.where(has_signal, np.take_along_axis(grip, latest, axis=1), -1.0)
+    low = np.quantile(filled, 0.01, axis=1, keepdims=True)
+    span = np.quantile(filled, 0.99, axis=1, keepdims=True) - low
+    is_used = span > _GRIP_SPAN
+    relative = np.clip((filled - low) / np.where(is_used, span, 1.0), 0.0, 1.0)
+    return np.where(has_signal, np.where(is_used, relative, np.round(filled)), -1.0)
+
+
+_GRIP_SPAN = 0.3
+"""A hand whose opening varies less than this has not grasped: noise must not be stretched to a full range."""
 
 
 def _tilt(orientation: Array) -> Array:
