@@ -5,6 +5,7 @@ observations: it is counted once per ``evidence_s``. Changing the activity costs
 training labels. Both are stated in seconds, so that the rate of a log does not matter.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,15 +21,25 @@ class Grammar:
     initial: Array
     """``(k,)``."""
     change: Array
-    """From row to column ``(k, k)``; zero on the diagonal, since staying is not a change."""
+    """From row to column, given that there is a change ``(k, k)``; zero on the diagonal."""
+    leave_per_s: Array
+    """How often each activity ends: one over its mean duration ``(k,)`` [1/s]."""
+
+    def costs(self, evidence_s: float) -> Array:
+        """Log-probability of changing from row to column within ``evidence_s``; staying costs nothing."""
+        leave = np.log(np.minimum(self.leave_per_s * evidence_s, 1.0))
+        return np.where(np.eye(len(leave), dtype=np.bool_), 0.0, self.change + leave[:, None])
 
 
-def grammar_of(sequences: list[NDArray[np.int64]], n_classes: int, prior: float) -> Grammar:
-    """What follows what in label sequences.
+def grammar_of(
+    sequences: Sequence[NDArray[np.int64]], durations_s: Sequence[Array], n_classes: int, prior: float
+) -> Grammar:
+    """What follows what, and how soon, in label sequences.
 
     Args:
         sequences: Classes of the segments of each labelled track, in order.
-        n_classes: Number of classes.
+        durations_s: How long each of these segments lasts [s].
+        n_classes: Number of classes, each of which occurs at least once.
         prior: Pseudo-count of every start and every change: what was never shown stays possible.
     """
     starts = np.full(n_classes, prior)
@@ -37,14 +48,18 @@ def grammar_of(sequences: list[NDArray[np.int64]], n_classes: int, prior: float)
         starts[sequence[0]] += 1.0
         np.add.at(changes, (sequence[:-1], sequence[1:]), 1.0)
     np.fill_diagonal(changes, 0.0)
-    totals = changes.sum(axis=1, keepdims=True)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        change = np.where(totals > 0, np.log(changes / totals), 0.0)
-    np.fill_diagonal(change, 0.0)
-    return Grammar(initial=np.log(starts / starts.sum()), change=change)
+    totals = np.maximum(changes.sum(axis=1, keepdims=True), prior)
+    change = np.log(np.where(changes > 0, changes, totals) / totals)
+    every = np.concatenate(sequences)
+    total_s = np.bincount(every, weights=np.concatenate(durations_s), minlength=n_classes)
+    return Grammar(
+        initial=np.log(starts / starts.sum()),
+        change=change,
+        leave_per_s=np.bincount(every, minlength=n_classes) / total_s,
+    )
 
 
-def viterbi(log_probability: Array, grammar: Grammar) -> NDArray[np.int64]:
+def viterbi(log_probability: Array, initial: Array, change: Array) -> NDArray[np.int64]:
     """The sequence of classes that maximises evidence plus grammar, exactly.
 
     Time is cut into about √t blocks. Within all blocks at once, the best score from every class at the
@@ -57,7 +72,8 @@ def viterbi(log_probability: Array, grammar: Grammar) -> NDArray[np.int64]:
 
     Args:
         log_probability: Evidence ``(t, k)``, finite.
-        grammar: Costs of starting and changing.
+        initial: Log-probability of beginning with each class ``(k,)``.
+        change: Log-probability of changing from row to column between two ticks ``(k, k)``.
 
     Returns:
         Classes ``(t,)``.
@@ -72,7 +88,7 @@ def viterbi(log_probability: Array, grammar: Grammar) -> NDArray[np.int64]:
     padded[: n_ticks - 1] = log_probability[1:]
     evidence = padded.reshape(n_blocks, n_steps, k)
 
-    change_into = grammar.change.T  # (to, from)
+    change_into = change.T  # (to, from)
     best = np.where(np.eye(k, dtype=bool), 0.0, -np.inf)[None].repeat(n_blocks, axis=0)  # (block, entry, now)
     came_from = np.empty((n_steps, n_blocks, k, k), dtype=np.int8)
     for step in range(n_steps):
@@ -81,7 +97,7 @@ def viterbi(log_probability: Array, grammar: Grammar) -> NDArray[np.int64]:
         came_from[step] = chosen
         best = np.take_along_axis(ways, chosen[..., None], axis=3)[..., 0] + evidence[:, step, None, :]
 
-    score = grammar.initial + log_probability[0]
+    score = initial + log_probability[0]
     entry_of = np.empty((n_blocks, k), dtype=np.int64)
     for block in range(n_blocks):
         ways = score[:, None] + best[block]

@@ -58,6 +58,7 @@ def render_segmenter(segmenter: Segmenter) -> str:
         "grammar": {
             "initial": segmenter.grammar.initial.tolist(),
             "change": segmenter.grammar.change.tolist(),
+            "leave_per_s": segmenter.grammar.leave_per_s.tolist(),
         },
         "trees": to_plain(segmenter.trees),
     }
@@ -84,7 +85,10 @@ def parse_segmenter(text: str) -> Segmenter:
         grammar = Grammar(
             initial=_array(plain["grammar"]["initial"], (len(activities),), "grammar.initial"),
             change=_array(plain["grammar"]["change"], (len(activities),) * 2, "grammar.change"),
+            leave_per_s=_array(plain["grammar"]["leave_per_s"], (len(activities),), "grammar.leave_per_s"),
         )
+        if not (grammar.leave_per_s > 0).all():
+            raise DataError("segmenter: grammar.leave_per_s must be positive")
         return Segmenter(
             method=str(plain["method"]),
             activities=activities,

@@ -104,7 +104,9 @@ def classify_by_model(
     if not params.is_decoded:
         return evidence.argmax(axis=2), evidence
     weight = min(1.0, tracks.tick_s / params.evidence_s)
-    classes = [viterbi(evidence[hand] * weight, segmenter.grammar) for hand in range(n_hands)]
+    grammar = segmenter.grammar
+    change = grammar.costs(params.evidence_s)
+    classes = [viterbi(evidence[hand] * weight, grammar.initial, change) for hand in range(n_hands)]
     return np.asarray(classes).reshape(n_hands, length), evidence
 
 

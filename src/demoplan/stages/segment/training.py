@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from importlib.metadata import version
-from typing import Literal
+from typing import Literal, TypeAlias
 
 import dataframely as dy
 import numpy as np
@@ -14,7 +14,7 @@ from demoplan import __version__
 from demoplan.errors import DataError
 from demoplan.ids import ContentHash, content_hash
 from demoplan.language.types import TypeHierarchy
-from demoplan.stages.segment.decoding import grammar_of
+from demoplan.stages.segment.decoding import grammar_of, runs_of
 from demoplan.stages.segment.features import FeatureParams, features_of
 from demoplan.stages.segment.model import Segmenter
 from demoplan.stages.segment.segmentation import SegmentParams, segment
@@ -40,13 +40,13 @@ class TrainParams:
     """Trees of an ensemble."""
     grammar_prior: float = 0.5
     """Pseudo-count of each change of activity that was never shown."""
-    n_variations: int = 4
+    n_variations: int = 6
     """Copies of each episode at other tempos, sizes and marker places, besides itself."""
-    tempo_spread: float = 0.2
+    tempo_spread: float = 0.4
     """Copies are up to this much slower or faster."""
-    size_spread: float = 0.1
+    size_spread: float = 0.2
     """Copies have all distances up to this much larger or smaller."""
-    marker_spread_m: float = 0.03
+    marker_spread_m: float = 0.05
     """Copies have the hand's marker displaced by this much in each axis [m] (standard deviation)."""
     seed: int = 0
 
@@ -129,6 +129,10 @@ def segment_held_out(
     return Activities.validate(pl.concat(found).sort("episode_id", "hand", "start_ns"))
 
 
+_Sequence: TypeAlias = tuple[tuple[str, float], ...]
+"""Activity and duration [s] of segments, in order."""
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Examples:
     """What one episode has to teach."""
@@ -139,8 +143,8 @@ class _Examples:
     """``(examples, features)``."""
     activities: NDArray[np.str_]
     """``(examples,)``."""
-    sequences: tuple[tuple[str, ...], ...]
-    """Activities of each hand's labelled segments, in order."""
+    sequences: tuple[_Sequence, ...]
+    """Labelled segments of each hand, in order."""
 
 
 def _examples(
@@ -190,7 +194,7 @@ def _examples(
     return found
 
 
-def _labels(tracks: Tracks, truth: pl.DataFrame) -> tuple[NDArray[np.str_], tuple[tuple[str, ...], ...]]:
+def _labels(tracks: Tracks, truth: pl.DataFrame) -> tuple[NDArray[np.str_], tuple[_Sequence, ...]]:
     """The true activity of each hand at each tick ``(h, t)``, empty where there is none; and their order."""
     names = []
     sequences = []
@@ -203,9 +207,12 @@ def _labels(tracks: Tracks, truth: pl.DataFrame) -> tuple[NDArray[np.str_], tupl
         found = np.searchsorted(rows.get_column("start_ns").to_numpy(), tracks.tick_ns, side="right") - 1
         covered = (found >= 0) & (tracks.tick_ns < rows.get_column("end_ns").to_numpy()[np.maximum(found, 0)])
         names.append(np.where(covered, activity[np.maximum(found, 0)], ""))
-        changed = np.append(True, activity[1:] != activity[:-1])
-        sequences.append(tuple(activity[changed].tolist()))
-    return np.asarray(names).astype(str).reshape(len(tracks.hands), -1), tuple(sequences)
+        starts, _ = runs_of(np.unique(names[-1], return_inverse=True)[1])
+        ends = np.append(starts[1:], len(names[-1]))
+        seen = [(str(names[-1][a]), (b - a) * tracks.tick_s) for a, b in zip(starts, ends, strict=True)]
+        sequences.append(tuple((name, duration_s) for name, duration_s in seen if name))
+    labelled = tuple(sequence for sequence in sequences if sequence)
+    return np.asarray(names).astype(str).reshape(len(tracks.hands), -1), labelled
 
 
 def _varied(tracks: Tracks, params: TrainParams, rng: np.random.Generator) -> Tracks:
@@ -239,11 +246,9 @@ def _fit(examples: list[_Examples], training_hash: ContentHash, params: TrainPar
     from demoplan.stages.segment import fitting  # noqa: PLC0415
 
     code = {name: index for index, name in enumerate(names.tolist())}
-    sequences = [
-        np.asarray([code[name] for name in sequence if name in code])
-        for example in examples
-        for sequence in example.sequences
-    ]
+    tracks = [track for example in examples for track in example.sequences]
+    sequences = [np.asarray([code[name] for name, _ in track]) for track in tracks]
+    durations_s = [np.asarray([duration_s for _, duration_s in track]) for track in tracks]
     return Segmenter(
         method=params.method,
         activities=tuple(names.tolist()),
@@ -259,7 +264,7 @@ def _fit(examples: list[_Examples], training_hash: ContentHash, params: TrainPar
             n_trees=params.n_trees,
             seed=params.seed,
         ),
-        grammar=grammar_of([s for s in sequences if len(s)], len(names), params.grammar_prior),
+        grammar=grammar_of(sequences, durations_s, len(names), params.grammar_prior),
         training_hash=training_hash,
         training_episodes=tuple(example.episode_id for example in examples),
         options=tuple(
