@@ -190,6 +190,8 @@ def test_suites_without_a_total_show_what_they_have_and_bare_figures_stay_in_the
     rows = key_results(pl.concat([rest, extra, planning]), ())
     assert {row.subject for row in rows if row.suite == "planning"} == {"fresh domains"}
     assert "f1 Reach" not in {row.metric for row in rows}
+    broken_down = planning.with_columns(metric=pl.concat_str(pl.lit("solved: "), pl.col("metric")))
+    assert not [row for row in key_results(broken_down, ()) if row.metric.startswith("solved")]
     assert "f1 Reach" in dict(score_grid(pl.concat([rest, extra]), "segmentation").rows)
 
 

@@ -18,6 +18,18 @@ def markdown_text(text: str) -> str:
     return _SPECIAL.sub(r"\\\1", " ".join(str(text).split()))
 
 
+def activity_text(activity: str, acted_on: str | None, in_hand: str | None) -> str:
+    """An activity with its objects, as a lane shows it.
+
+    >>> activity_text("Put", "cube_blue", "cube_red"), activity_text("Reach", "cube_red", None)
+    ('Put cube_red → cube_blue', 'Reach cube_red')
+    >>> activity_text("Take", "cube_red", "cube_red"), activity_text("Idle", None, None)
+    ('Take cube_red', 'Idle')
+    """
+    things = [thing for thing in (in_hand, acted_on) if thing is not None]
+    return " ".join([activity, " → ".join(dict.fromkeys(things))]).strip()
+
+
 def document_of(
     episode_id: str,
     episode: dict[str, Any] | None,

@@ -7,6 +7,7 @@ import polars as pl
 
 from demoplan.geometry import speeds
 from demoplan.viewers import colours
+from demoplan.viewers.describe import activity_text
 from demoplan.viewers.episode_view import Body, Chart, Curve, Lane, Note, Threshold
 from demoplan.viewers.scene import columns_of
 from demoplan.viewers.sources import EpisodeViewParams
@@ -59,10 +60,10 @@ def hand_lanes_of(
                 continue
             rows = table.filter(pl.col("hand") == hand).sort("start_ns")
             shown = [
-                (start, end, name if thing is None else f"{name} {thing}", name)
-                for start, end, name, thing in zip(
-                    rows["start_ns"], rows["end_ns"], rows["activity"], rows["acted_on"], strict=True
-                )
+                (start, end, activity_text(name, thing, held), name)
+                for start, end, name, thing, held in rows.select(
+                    "start_ns", "end_ns", "activity", "acted_on", "in_hand"
+                ).iter_rows()
             ]
             if shown:
                 by_state = {state: colours.activity_colour(name) for *_, state, name in shown}

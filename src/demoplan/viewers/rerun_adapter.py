@@ -37,9 +37,9 @@ _GRIP_RADIUS_M = 0.012
 _WORLD = "world"
 
 # Heights in the viewer at its usual scale, from which the shares of the layout come.
-_HEADER_PX = 70.0
+_HEADER_PX = 84.0
 _LANE_PX = 40.0
-_CHART_PX = 160.0
+_CHART_PX = 145.0
 
 
 def write_recording(view: EpisodeView, path: Path) -> None:
@@ -309,7 +309,7 @@ def _send_chart(
         recording.send_columns(path, times(curve.ticks_ns), rr.Scalars.columns(scalars=curve.values))
     span = np.array([view.start_ns, view.end_ns], dtype=np.int64)
     for threshold in chart.thresholds:
-        path = _path("signals", chart.name, threshold.name)
+        path = _path("signals", chart.name, "thresholds", threshold.name)
         style = rr.SeriesLines(
             colors=[(150, 154, 160)], names=[f"{threshold.name} {threshold.value:g}"], widths=[0.8]
         )
@@ -320,7 +320,8 @@ def _send_chart(
 def _blueprint(view: EpisodeView) -> rrb.Blueprint:
     """Scene and description on the left; lanes and signals on one shared time axis on the right."""
     axis = rrb.archetypes.TimeAxis(link=rrb.components.LinkAxis.LinkToGlobal)
-    focus = np.array(view.focus_xyz_m)
+    # Most of what is to be seen rests low, with the hands above it.
+    focus = np.array(view.focus_xyz_m) - np.array([0.0, 0.0, 0.2 * view.extent_m])
     eye = focus + view.extent_m * np.array([0.2, -1.6, 1.25])
     trail = rrb.VisibleTimeRanges(
         timeline=EPISODE_TIMELINE,
@@ -348,9 +349,10 @@ def _blueprint(view: EpisodeView) -> rrb.Blueprint:
         shares.append(_HEADER_PX + _LANE_PX * min(len(view.hand_lanes), 8))
     if view.fact_lanes:
         right.append(rrb.StateTimelineView(origin="facts", name="Predicates", time_view=axis))
-        shares.append(_HEADER_PX + _LANE_PX * min(len(view.fact_lanes), 10))
+        shares.append(_HEADER_PX + _LANE_PX * min(len(view.fact_lanes), 8))
     for chart in view.charts:
-        right.append(_chart_view(chart, axis))
+        # All charts show the same hands in the same colours: one legend is enough.
+        right.append(_chart_view(chart, axis, has_legend=chart is view.charts[0]))
         shares.append(_CHART_PX)
     columns: list[Any] = [rrb.Vertical(*left, row_shares=[2.2, 1.0])]
     if right:
@@ -365,12 +367,12 @@ def _blueprint(view: EpisodeView) -> rrb.Blueprint:
     )
 
 
-def _chart_view(chart: Chart, axis: Any) -> Any:
+def _chart_view(chart: Chart, axis: Any, *, has_legend: bool) -> Any:
     return rrb.TimeSeriesView(
         origin=_path("signals", chart.name),
         name=chart.title,
         axis_x=axis,
-        plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftTop, visible=True),
+        plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftTop, visible=has_legend),
     )
 
 

@@ -7,11 +7,13 @@ keeps its size; each stretch is a nested ``svg``, which clips its own text.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import polars as pl
 from markupsafe import Markup
 
 from demoplan.viewers.colours import activity_colour, hex_colour
+from demoplan.viewers.describe import activity_text
 from demoplan.viewers.report.markup import ink_on, text
 
 _ROW = 18
@@ -82,15 +84,16 @@ def activity_names(*tables: pl.DataFrame | None) -> tuple[str, ...]:
     )
 
 
-_Row = tuple[int, int, str, str | None]
+_Row: TypeAlias = tuple[int, int, str, str | None, str | None]
+"""Start and end [ns], activity, what it acts on, what is in the hand."""
 
 
 def _rows_by_hand(table: pl.DataFrame | None) -> dict[tuple[str, str], list[_Row]]:
     rows: dict[tuple[str, str], list[_Row]] = {}
     if table is not None:
-        columns = ("episode_id", "hand", "start_ns", "end_ns", "activity", "acted_on")
+        columns = ("episode_id", "hand", "start_ns", "end_ns", "activity", "acted_on", "in_hand")
         for episode, hand, *rest in table.sort("episode_id", "hand", "start_ns").select(columns).iter_rows():
-            rows.setdefault((episode, hand), []).append((rest[0], rest[1], rest[2], rest[3]))
+            rows.setdefault((episode, hand), []).append((rest[0], rest[1], rest[2], rest[3], rest[4]))
     return rows
 
 
@@ -130,9 +133,9 @@ def _percent(part: float, whole: float) -> str:
 
 
 def _stretch(row: _Row, kind: str, y: int, start_ns: int, end_ns: int) -> Markup:
-    start, end, activity, thing = row
+    start, end, activity, acted_on, in_hand = row
     colour = activity_colour(activity)
-    what = activity if thing is None else f"{activity} {thing}"
+    what = activity_text(activity, acted_on, in_hand)
     share = (end - start) / (end_ns - start_ns)
     # A stretch too short for a letter gets none; its title still says what it is.
     label = Markup("")

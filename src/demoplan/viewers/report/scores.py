@@ -33,7 +33,8 @@ def key_results(
     """The scores over everything, beside the figures that they are held against.
 
     A suite without a score for ``all`` shows what it has. Where it knows some of ``methods``, the others are
-    left to the comparison, as are the figures without an interval where others have one.
+    left to the comparison, as are the figures without an interval where others have one. A metric whose name
+    says ``of what: which`` breaks another one down, and is left to the tables of its own section.
     """
     if scores is None:
         return ()
@@ -41,6 +42,7 @@ def key_results(
     is_whole, is_used = pl.col("subject") == "all", pl.col("method").is_in(list(methods))
     chosen = scores.filter(is_whole | ~is_whole.any().over("suite"))
     chosen = chosen.filter(is_used | ~is_used.any().over("suite"))
+    chosen = chosen.filter(~pl.col("metric").str.contains(": ", literal=True))
     has_low = pl.col("low").is_not_null()
     chosen = chosen.filter(has_low | ~has_low.any().over("suite"))
     rows = []
