@@ -1,0 +1,157 @@
+"""Learn a domain from a folder of symbolic traces: read, learn, write."""
+
+import re
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from demoplan.errors import ManifestError, PddlError, UsageError
+from demoplan.language.traces import (
+    Fault,
+    Signatures,
+    TraceReader,
+    TraceSet,
+    infer_signatures,
+    read_objects,
+    read_signatures,
+    render_strips,
+)
+from demoplan.stages.denoise import Denoised, DenoiseParams, denoise
+
+_NUMBER = re.compile(r"\d+")
+
+
+@dataclass(frozen=True)
+class LearnTracesReport:
+    """What was learned from, what came of it, and what was left out."""
+
+    denoised: Denoised
+    signatures: Signatures
+    faults: tuple[Fault, ...]
+    n_traces: int
+    n_transitions: int
+    unseen_actions: tuple[str, ...]
+    """Actions of the signatures without an instance: the domain leaves them out."""
+    read_s: float
+    learn_s: float
+
+    @property
+    def exit_code(self) -> int:
+        """0 if everything was used, 3 if something was left out."""
+        return 3 if self.faults else 0
+
+
+def learn_traces(case_dir: Path, out: Path, params: DenoiseParams = DenoiseParams()) -> LearnTracesReport:
+    """Learn from a case and write the domain.
+
+    Args:
+        case_dir: Folder with ``trajectories/N_traj`` and, where there are any, ``domain.pddl`` (types,
+            constants, predicates, actions with parameters) and ``problems/N_prob.pddl`` (objects of
+            trajectory N). Or one trajectory file, with ``domain.pddl`` beside it or not. Without a domain the
+            signatures are inferred from the traces.
+        out: Where the domain is written.
+        params: Priors and limits.
+
+    Returns:
+        What was learned, and everything that was left out, by file and line.
+
+    Raises:
+        UsageError: If there is no trajectory, or no file has anything to learn from.
+    """
+    start = time.perf_counter()
+    files = _trajectories(case_dir)
+    root = case_dir if case_dir.is_dir() else case_dir.parent
+    traces, signatures, faults = _read(root, files)
+    if traces.n_actions == 0:
+        told = "; ".join(str(fault) for fault in faults[:3])
+        raise UsageError(
+            f"{case_dir}: no transition to learn from in {len(files)} files: {told or 'all are empty'}"
+        )
+    read_s = time.perf_counter() - start
+    denoised = denoise(traces, params)
+    _write(out, render_strips(signatures, denoised.actions()))
+    known = set(denoised.operators["operator"])
+    return LearnTracesReport(
+        denoised=denoised,
+        signatures=signatures,
+        faults=faults,
+        n_traces=len(set(traces.trace_names)),
+        n_transitions=traces.n_actions,
+        unseen_actions=tuple(each.name for each in signatures.actions if each.name not in known),
+        read_s=read_s,
+        learn_s=time.perf_counter() - start - read_s,
+    )
+
+
+def _trajectories(case: Path) -> list[Path]:
+    if case.is_file():
+        return [case]
+    folder = case / "trajectories"
+    if not folder.is_dir():
+        raise UsageError(f"{case}: neither a trajectory file nor a folder with trajectories/ in it")
+    files = [path for path in folder.iterdir() if path.is_file() and not path.name.startswith(".")]
+    if not files:
+        raise UsageError(f"{folder}: no trajectory in it; expected files N_traj")
+    return sorted(files, key=lambda path: (_number(path), path.name))
+
+
+def _number(path: Path) -> int:
+    match = _NUMBER.match(path.name)
+    return int(match[0]) if match else -1
+
+
+def _read(root: Path, files: list[Path]) -> tuple[TraceSet, Signatures, tuple[Fault, ...]]:
+    faults: list[Fault] = []
+    domain = root / "domain.pddl"
+    if domain.is_file():
+        signatures, found = read_signatures(_text(domain), domain.name)
+    else:
+        signatures, found = infer_signatures(_texts(root, files, faults))
+        faults.clear()  # told again when the files are read
+    faults += found
+    reader = TraceReader(signatures)
+    for text, path in _texts(root, files, faults):
+        objects, found = _objects(root, path, signatures)
+        faults += found
+        reader.add(text, path, objects)
+    return reader.result(), signatures, tuple(sorted((*faults, *reader.faults)))
+
+
+def _texts(root: Path, files: list[Path], faults: list[Fault]) -> Iterator[tuple[str, str]]:
+    """Text and name of each file; what is not text becomes a fault."""
+    for path in files:
+        name = path.relative_to(root).as_posix()
+        try:
+            yield path.read_text(encoding="utf-8"), name
+        except (OSError, UnicodeDecodeError) as error:
+            faults.append(Fault(name, 1, f"not readable as text: {error}"))
+
+
+def _objects(
+    root: Path, name: str, signatures: Signatures
+) -> tuple[dict[str, str] | None, tuple[Fault, ...]]:
+    """Objects of the trajectory's problem, if it has one and it is a problem."""
+    number = _number(Path(name))
+    found = sorted((root / "problems").glob(f"{number}_*.pddl")) if number >= 0 else []
+    if not found:
+        return None, ()
+    problem = found[0].relative_to(root).as_posix()
+    try:
+        return read_objects(_text(found[0]), problem, signatures)
+    except (PddlError, ManifestError) as error:
+        return None, (Fault(problem, 1, f"objects taken as they are found: {error}"),)
+
+
+def _text(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ManifestError(path, None, f"not readable as text: {error}") from error
+
+
+def _write(out: Path, text: str) -> None:
+    """Write beside the target and rename, so that no half-written domain is ever seen."""
+    partial = out.with_name(f".{out.name}.partial")
+    partial.write_text(text, encoding="utf-8")
+    partial.replace(out)

@@ -1,0 +1,11 @@
+"""Symbolic traces with misreadings to operators, every literal with its probability; noise is estimated.
+
+``candidates`` are the literals an action may have; ``touches`` are the moments at which an action could have
+changed a ground atom; ``chains`` follow each atom between its touches; ``beliefs`` say what each literal is;
+``implications`` leave out conditions that say nothing new; ``learning`` puts them into tables.
+"""
+
+from demoplan.stages.denoise.learning import Denoised, denoise
+from demoplan.stages.denoise.params import DenoiseParams
+
+__all__ = ["DenoiseParams", "Denoised", "denoise"]
