@@ -66,8 +66,15 @@ def contrast(
     ends = _at_instants(atoms.filter(~pl.col("is_predominant")), rows["episode_id"], rows["end_ns"])
     during = _predominant(atoms.filter("is_predominant"), rows)
     after = _states(pl.concat([ends, during]), rows.height)
-    # The left limit of the first tick's end is the first tick itself.
-    starts = _at_instants(atoms, rows["episode_id"].filter(first), rows["start_ns"].filter(first) + 1)
+    firsts = rows.filter(first).join(
+        facts.group_by("episode_id").agg(seen_ns=pl.col("start_ns").min()),
+        on="episode_id",
+        how="left",
+        maintain_order="left",
+    )
+    # The left limit one nanosecond later is the first tick itself; labels may begin before anything was seen.
+    instants = firsts.select(pl.max_horizontal("start_ns", "seen_ns") + 1).to_series()
+    starts = _at_instants(atoms, firsts["episode_id"], instants)
     places = pl.DataFrame({"place": np.flatnonzero(first)}).with_row_index("row").cast(pl.Int64)
     start = _states(starts.join(places, on="row").select("atom", "value", row="place"), rows.height)
     before = {

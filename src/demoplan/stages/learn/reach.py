@@ -37,7 +37,7 @@ def keep_plannable(drafts: Sequence[Draft], params: LearnParams) -> list[Draft]:
     """
     result = list(drafts)
     blocked = _blocked(result, params)
-    while blocked:
+    while any(blocked):
         best: tuple[tuple[object, ...], int, LiftedAtom] | None = None
         for position, draft in enumerate(result):
             for candidate in draft.preconditions:
@@ -84,8 +84,11 @@ def _project(draft: Draft) -> _Step:
     )
 
 
-def _blocked(drafts: Sequence[Draft], params: LearnParams) -> int:
-    """How many pairs of an arising state and an operator have no way from the one to the other."""
+def _blocked(drafts: Sequence[Draft], params: LearnParams) -> tuple[int, int]:
+    """How many operators cannot come about from some start, and from some state that can arise.
+
+    The first comes first: a condition that is dropped may open states which are ends until the next is.
+    """
     steps = [_project(draft) for draft in drafts if not draft.quarantine]
     mentioned = frozenset(chain.from_iterable((*s.needs, *s.forbids, *s.adds, *s.deletes) for s in steps))
     empty, hold = LiftedAtom(params.empty, (HAND,)), LiftedAtom(params.holding, (HAND, OBJECT))
@@ -120,9 +123,8 @@ def _blocked(drafts: Sequence[Draft], params: LearnParams) -> int:
             more = possible[state].union(*(possible[after] for after in following.values()))
             if more != possible[state]:
                 possible[state], is_growing = more, True
-    # Relative to all states, or a drop that makes more states reachable would look worse than it is.
-    worst = [
-        sum(number not in reached for reached in possible.values()) / len(possible)
-        for number in range(len(steps))
-    ]
-    return sum(share > 0 for share in worst)
+    numbers = range(len(steps))
+    return (
+        sum(any(number not in possible[state] for state in starts) for number in numbers),
+        sum(any(number not in reached for reached in possible.values()) for number in numbers),
+    )
