@@ -19,7 +19,14 @@ from demoplan.geometry.rotations import (
     rotate,
     slerp,
 )
-from demoplan.geometry.solids import SOLID_KINDS, Solid, heights, surface_distances, top_beneath
+from demoplan.geometry.solids import (
+    SOLID_KINDS,
+    Solid,
+    heights,
+    nearest_points,
+    surface_distances,
+    top_beneath,
+)
 from demoplan.geometry.switching import Bools, Codes, hysteresis, run_lengths, without_short_runs
 
 __all__ = [
@@ -36,6 +43,7 @@ __all__ = [
     "inverted",
     "matrices",
     "multiply",
+    "nearest_points",
     "normalised",
     "rotate",
     "run_lengths",

@@ -121,6 +121,19 @@ def surface_distances(a: Solid, b: Solid, exact_below_m: float = np.inf) -> Arra
     return distances
 
 
+def nearest_points(solid: Solid, points_xyz_m: Array) -> Array:
+    """Points ``(n, 3)`` of a solid that are nearest to given ones ``(n, 3)``, one for each pose.
+
+    A point within the solid is its own nearest point. NaN where a pose is not known.
+    """
+    if solid.kind in ("point", "sphere"):
+        away = points_xyz_m - solid.position_xyz_m
+        length = np.linalg.norm(away, axis=-1, keepdims=True)
+        shrink = np.minimum(1.0, solid.radius_m / np.maximum(length, 1e-12))
+        return np.asarray(solid.position_xyz_m + away * shrink)
+    return _in_world(solid, _nearest_in_body(solid, _in_body(solid, points_xyz_m)))
+
+
 def heights(solid: Solid) -> tuple[Array, Array]:
     """Lowest and highest point [m] of a solid along the world's z ``(n,)`` each."""
     if solid.kind == "sphere":

@@ -12,7 +12,7 @@ import numpy as np
 import polars as pl
 from dataframely import DataFrame
 from numpy.typing import NDArray
-from pydantic import Field, TypeAdapter, ValidationError
+from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 
 from demoplan.errors import DataError, UnknownNameError
 from demoplan.manifests.mapping import Clock, Strict
@@ -58,11 +58,14 @@ class LabelledInterval(Strict):
 
 
 class LabelledActivities(Strict):
-    """The form ``activities``."""
+    """The form ``activities``. Beside it a file may tell more of its episode."""
+
+    model_config = ConfigDict(frozen=True, extra="ignore")
 
     format: Literal["activities"] = "activities"
     clock: Clock = "header"
     """Clock that the times are read from."""
+    episode_id: str | None = None
     hands: dict[str, tuple[LabelledInterval, ...]]
 
 
@@ -112,6 +115,8 @@ def activities_of_labels(
 
 def _rows_of_activities(document: Any, episode_id: str, samples: DataFrame[Samples]) -> Iterable[Row]:
     labels = _parsed(TypeAdapter(LabelledActivities), document, episode_id)
+    if labels.episode_id not in (None, episode_id):
+        raise DataError(f"labels of {episode_id!r} say that they are of episode {labels.episode_id!r}")
     to_stamps = _translation(samples, labels.clock)
     for hand, intervals in labels.hands.items():
         edges = np.array([(row.start_ns, row.end_ns) for row in intervals], np.int64).reshape(-1, 2)

@@ -9,7 +9,7 @@ import polars as pl
 from numpy.typing import NDArray
 
 from demoplan.errors import DataError, UnknownNameError
-from demoplan.geometry import Array, Bools, Solid, surface_distances, velocities
+from demoplan.geometry import Array, Bools, Solid, nearest_points, surface_distances, velocities
 from demoplan.language.vocabulary import Shape, Vocabulary
 from demoplan.manifests.mapping import Entity
 
@@ -24,7 +24,7 @@ class Bodies:
     """In order."""
     types: tuple[str, ...]
     is_fixed: tuple[bool, ...]
-    """Whether the mapping fixes the pose, as a table's."""
+    """Whether nothing moves it, as a table: the mapping fixes its pose, or a static transform does."""
     solids: tuple[Solid, ...]
     tick_ns: NDArray[np.int64]
     """``(n,)``"""
@@ -55,9 +55,18 @@ class Bodies:
         """Speeds [m/s] ``(e, n)``; NaN where the pose is not known."""
         return np.where(self.is_seen, np.linalg.norm(self.velocity, axis=-1), np.nan)
 
-    def slope(self, values: Array) -> Array:
-        """Change per second of values ``(…, n)``, over the window of every velocity."""
-        return velocities(values[..., None], self.tick_s, self.velocity_window_s)[..., 0]
+    def closing_speed(self, one: int, other: int) -> Array:
+        """Speed [m/s] ``(n,)`` at which a body itself moves towards the nearest point of another.
+
+        Whether the other moves does not count; 0 while the middle of the one is within the other.
+        """
+        middle = self.solids[one].position_xyz_m
+        way = nearest_points(self.solids[other], middle) - middle
+        length = np.linalg.norm(way, axis=-1)
+        along = np.einsum("ni,ni->n", self.velocity[one], way)
+        return np.where(
+            length > 1e-9, along / np.maximum(length, 1e-9), np.where(np.isnan(length), np.nan, 0.0)
+        )
 
     def distance(self, one: int, other: int, exact_below_m: float = np.inf) -> Array:
         """Surface distances [m] ``(n,)`` of two bodies; see :func:`demoplan.geometry.surface_distances`."""
@@ -96,10 +105,14 @@ def bodies_of(
     positions = _matrix(frames["position_xyz_m"], len(names), n, 3)
     orientations = _matrix(frames["orientation_wxyz"], len(names), n, 4)
     grips = frames["grip"].cast(pl.Float64).to_numpy().astype(np.float64).reshape(len(names), n)
+    ages = frames["pose_age_ns"].to_numpy().reshape(len(names), n)
     return Bodies(
         names=names,
         types=tuple(entities[name].type for name in names),
-        is_fixed=tuple(entities[name].fixed is not None for name in names),
+        is_fixed=tuple(
+            entities[name].fixed is not None or _is_static(positions[row], orientations[row], ages[row])
+            for row, name in enumerate(names)
+        ),
         solids=tuple(
             _solid(shape_of(entities[name], vocabulary), positions[row], orientations[row])
             for row, name in enumerate(names)
@@ -122,6 +135,15 @@ def shape_of(entity: Entity, vocabulary: Vocabulary) -> Shape:
         if name in shapes:
             return shapes[name]
     return _POINT
+
+
+def _is_static(positions: Array, orientations: Array, ages_ns: NDArray[np.int64]) -> bool:
+    """Whether a pose is latched: never stale, and the same to the last digit at every tick."""
+    return bool(
+        np.all(ages_ns == 0)
+        and np.all(positions == positions[0])
+        and np.all((orientations == orientations[0]) | np.isnan(orientations))
+    )
 
 
 def _solid(shape: Shape, positions: Array, orientations: Array) -> Solid:

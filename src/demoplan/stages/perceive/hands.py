@@ -65,44 +65,41 @@ def can_grasp(bodies: Bodies, groundings: Groundings, numbers: Numbers, known: d
 def approached(bodies: Bodies, groundings: Groundings, numbers: Numbers, known: dict[str, Known]) -> Evidence:
     """The body o is what h moves towards, or has come to and not left: one at a time.
 
-    It begins with o the nearest by surface of the bodies within ``enter_m`` that the gap to h closes by at
-    least ``approach_m_per_s`` and by ``heading_ratio`` of the hand's speed, so that what lies beside the
-    path does not count. Bodies that the mapping fixes, as a table, count only where no other does: an
-    object on a table is nearly always farther than the table. It ends beyond ``exit_m``, when the gap
-    grows by ``recede_m_per_s``, when the hand takes o, or turns to another. What the hand holds is left
-    out, and nothing else of its class.
+    It begins with o the nearest by surface of the bodies within ``enter_m`` that h itself moves towards, by
+    at least ``approach_m_per_s`` and ``heading_ratio`` of its speed: neither what lies beside the path
+    counts, nor what another hand brings near. Bodies that nothing moves, as a table, count only where no
+    other does, and the hand is not at another (within ``rest_m``): an object on a table is nearly always
+    farther than the table. It ends when h moves away by
+    ``recede_m_per_s``, is farther than ``exit_m``, rests (slower than ``approach_m_per_s``) farther than
+    ``rest_m``, takes o, or turns to another. What the hand holds is left out, and nothing else of its class.
 
     Source: the rule 'nearest object within 0.15 m while the hand approaches it' of K. Ramirez-Amaro,
     M. Beetz, G. Cheng, "Transferring skills to humanoid robots by extracting semantic representations from
     observations of human activities", Artificial Intelligence 247 (2017), doi:10.1016/j.artint.2015.08.009;
-    surface distance, heading and the order of fixed bodies are ours.
+    surface distance, heading, rest and the order of fixed bodies are ours.
     """
     n_ticks = len(bodies.tick_ns)
-    n = len(groundings)
-    distance = np.full((n, n_ticks), np.nan)
-    is_held = np.zeros((n, n_ticks), np.bool_)
-    for row, (hand, target) in enumerate(groundings):
-        distance[row] = bodies.distance(hand, target)
-        is_held[row] = known["held"].state(hand, target) == TRUE
-    rate = bodies.slope(distance)
-    hand_rows = np.array([hand for hand, _ in groundings], np.int64)
-    is_fixed = np.array([bodies.is_fixed[target] for _, target in groundings], np.bool_)
-    speed = bodies.speed[hand_rows] if n else distance
-    least = np.maximum(numbers["approach_m_per_s"], numbers["heading_ratio"] * speed)
-    closes = (distance <= numbers["enter_m"]) & (-rate >= least) & ~is_held
-    enters = np.zeros((n, n_ticks), np.bool_)
-    for hand in np.unique(hand_rows):
-        for rows in (
-            np.flatnonzero((hand_rows == hand) & ~is_fixed),
-            np.flatnonzero((hand_rows == hand) & is_fixed),
-        ):
-            taken = enters[hand_rows == hand].any(axis=0)
-            enters[rows] = _nearest(distance[rows], closes[rows]) & ~taken
-    stays = (distance <= numbers["exit_m"]) & (rate < numbers["recede_m_per_s"]) & ~is_held
-    for hand in np.unique(hand_rows):
-        rows = np.flatnonzero(hand_rows == hand)
-        stays[rows] &= ~(enters[rows].any(axis=0) & ~enters[rows])
-    return Evidence(enters, stays, np.isfinite(distance) & np.isfinite(rate))
+    enters, stays, observed = (np.zeros((len(groundings), n_ticks), np.bool_) for _ in range(3))
+    rows_of: dict[int, list[int]] = {}
+    for row, (hand, _target) in enumerate(groundings):
+        rows_of.setdefault(hand, []).append(row)
+    for hand, rows in rows_of.items():
+        targets = [groundings[row][1] for row in rows]
+        distance = np.stack([bodies.distance(hand, target) for target in targets])
+        closing = np.stack([bodies.closing_speed(hand, target) for target in targets])
+        is_held = np.stack([known["held"].state(hand, target) == TRUE for target in targets])
+        least = np.maximum(numbers["approach_m_per_s"], numbers["heading_ratio"] * bodies.speed[hand])
+        candidates = (distance <= numbers["enter_m"]) & (closing >= least) & ~is_held
+        is_fixed = np.array([bodies.is_fixed[target] for target in targets])
+        is_at = (distance <= numbers["rest_m"]) & ~is_held
+        candidates[is_fixed] &= ~(candidates | is_at)[~is_fixed].any(axis=0)
+        begins = _nearest(distance, candidates)
+        is_there = (bodies.speed[hand] >= numbers["approach_m_per_s"]) | (distance <= numbers["rest_m"])
+        goes_on = (distance <= numbers["exit_m"]) & (closing > -numbers["recede_m_per_s"]) & is_there
+        enters[rows] = begins
+        stays[rows] = goes_on & ~is_held & ~(begins.any(axis=0) & ~begins)
+        observed[rows] = np.isfinite(distance) & np.isfinite(closing)
+    return Evidence(enters, stays, observed)
 
 
 def _nearest(distance: Array, candidates: Bools) -> Bools:

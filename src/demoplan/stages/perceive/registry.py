@@ -55,7 +55,7 @@ DEFINITIONS: dict[str, Definition] = {
     "approached": Definition(
         function=hands.approached,
         arity=2,
-        numbers=("enter_m", "exit_m", "approach_m_per_s", "recede_m_per_s", "heading_ratio"),
+        numbers=("enter_m", "exit_m", "approach_m_per_s", "recede_m_per_s", "heading_ratio", "rest_m"),
         needs=("held",),
     ),
     "near": Definition(function=relations.near, arity=2, numbers=("enter_m", "exit_m")),
