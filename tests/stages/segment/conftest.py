@@ -55,7 +55,7 @@ def _demonstration(
     )
     cube = _moves(t, [(0, THERE), (at[3], THERE), (at[4], GOAL)])
     grip = np.clip(1 - np.interp(t, at[[2, 3, 4, 5]], [0, 1, 1, 0]), 0, 1)
-    rest = np.repeat(np.array([[0.0, -0.3, 0.2]]), n, axis=0) + [0.5, 0, 0]
+    rest = np.repeat(np.array([[0.5, -0.3, 0.2]]), n, axis=0)
     bodies = {
         "Left_hand": (rest, np.ones(n)),
         "Right_hand": (hand, grip),

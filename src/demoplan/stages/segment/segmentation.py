@@ -31,9 +31,9 @@ class SegmentParams:
     """A shorter segment joins a neighbour [s]. Source: the published rules."""
     is_decoded: bool = True
     """Whether a trained segmenter decides on the whole sequence (Viterbi) and not tick by tick."""
-    evidence_s: float = 0.1
+    evidence_s: float = 0.2
     """Ticks within this time count as one observation in decoding [s]."""
-    min_probability: float = 0.01
+    min_probability: float = 0.02
     """No activity is ever ruled out by one leaf alone: probabilities are kept above this in decoding."""
     min_held_share: float = 0.5
     """An object is in hand in a segment if it is so for at least this share of it."""

@@ -280,6 +280,15 @@ def _fit(examples: list[_Examples], training_hash: ContentHash, params: TrainPar
     )
 
 
-def _hash_of(*tables: pl.DataFrame) -> ContentHash:
-    """Hash of tables' contents, row order included."""
-    return content_hash(*(table.write_ipc(None, compression="uncompressed").getvalue() for table in tables))
+def _hash_of(
+    frames: dy.DataFrame[Frames], facts: dy.DataFrame[Facts], truth: dy.DataFrame[Activities]
+) -> ContentHash:
+    """Hash of what was trained on, whatever the order of its rows."""
+    ordered = (
+        frames.sort("episode_id", "entity", "tick_ns"),
+        facts.sort("episode_id", "predicate", pl.col("arguments").list.join(","), "start_ns"),
+        truth.sort("episode_id", "hand", "start_ns"),
+    )
+    # Written in one chunk: how a table was put together is not its content.
+    parts = (table.rechunk().write_ipc(None, compression="uncompressed").getvalue() for table in ordered)
+    return content_hash(*parts)
