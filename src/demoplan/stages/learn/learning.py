@@ -65,7 +65,7 @@ def learn(
         lifted = lift(data, bind_arguments(data, data.arguments), None, params)
         drafts = merge(lifted, types, data.predicates, params, TRACED)
     else:
-        settled = settle(data, params)
+        settled = settle(data, types, params)
         lifted = lift(data, bind_roles(data, settled, params), settled, params)
         drafts = merge(lifted, types, data.predicates, params, LOGGED)
         drafts = [keep_apart(draft, lifted.patterns, types, data.predicates, params) for draft in drafts]

@@ -6,7 +6,7 @@ restore, and then the second cube can never be taken. This looks at one hand wit
 from every state that can arise, each operator must be able to come about again.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain, combinations
 
@@ -16,6 +16,7 @@ from demoplan.stages.learn.merge import Draft
 from demoplan.stages.learn.params import LearnParams
 
 State = frozenset[LiftedAtom]
+_HARD = 100
 MAX_FREE_ATOMS = 10
 """Beyond so many conditions on the hand alone, not all starts are tried, only the one with none of them."""
 
@@ -28,6 +29,11 @@ class _Step:
     forbids: State
     adds: State
     deletes: State
+
+    def distance(self, state: State, params: LearnParams) -> int:
+        """How many conditions a state does not meet, those that may not be dropped counting as many."""
+        missing = (self.needs - state) | (self.forbids & state)
+        return sum(1 if _is_soft(atom, params) else _HARD for atom in missing)
 
 
 def keep_plannable(drafts: Sequence[Draft], params: LearnParams) -> list[Draft]:
@@ -85,9 +91,11 @@ def _project(draft: Draft) -> _Step:
 
 
 def _blocked(drafts: Sequence[Draft], params: LearnParams) -> tuple[int, int]:
-    """How many operators cannot come about from some start, and from some state that can arise.
+    """How far operators are from coming about, over all starts; and how many some arising state shuts out.
 
-    The first comes first: a condition that is dropped may open states which are ends until the next is.
+    How far is the least number of conditions that keep an operator from a state that can be reached from
+    a start; one that may not be dropped counts as many. It comes first: a condition that is dropped may open
+    states which are ends until the next is.
     """
     steps = [_project(draft) for draft in drafts if not draft.quarantine]
     mentioned = frozenset(chain.from_iterable((*s.needs, *s.forbids, *s.adds, *s.deletes) for s in steps))
@@ -123,8 +131,19 @@ def _blocked(drafts: Sequence[Draft], params: LearnParams) -> tuple[int, int]:
             more = possible[state].union(*(possible[after] for after in following.values()))
             if more != possible[state]:
                 possible[state], is_growing = more, True
-    numbers = range(len(steps))
-    return (
-        sum(any(number not in possible[state] for state in starts) for number in numbers),
-        sum(any(number not in reached for reached in possible.values()) for number in numbers),
-    )
+    far = 0
+    for start in starts:
+        reached = _closure(start, follow)
+        far += sum(min(step.distance(state, params) for state in reached) for step in steps)
+    shut = sum(any(number not in reached for reached in possible.values()) for number in range(len(steps)))
+    return far, shut
+
+
+def _closure(start: State, follow: Mapping[State, Mapping[int, State]]) -> set[State]:
+    reached, pending = {start}, [start]
+    while pending:
+        for after in follow[pending.pop()].values():
+            if after not in reached:
+                reached.add(after)
+                pending.append(after)
+    return reached

@@ -17,7 +17,9 @@ from dataclasses import dataclass
 from typing import TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
+from demoplan.language.types import ROOT, TypeHierarchy
 from demoplan.stages.learn.encode import NOBODY, Encoded, Ints
 from demoplan.stages.learn.params import LearnParams
 
@@ -45,11 +47,12 @@ class Settled:
     """Object that is grasped, released, held, or acted on; ``NOBODY`` where there is none. Shape (n,)."""
 
 
-def settle(data: Encoded, params: LearnParams) -> Settled:
+def settle(data: Encoded, types: TypeHierarchy, params: LearnParams) -> Settled:
     """Close the gaps of every hand's sequence of transitions.
 
     Args:
         data: Transitions of logs (symbolic traces have no gaps).
+        types: What may be held depends on the type that ``params.holding`` takes.
         params: Which predicates exclude each other.
     """
     own = 2 * np.arange(data.n)[:, None] + np.array([0, 1])
@@ -62,7 +65,7 @@ def settle(data: Encoded, params: LearnParams) -> Settled:
         preference=lambda run, old, new: _grip_preference(data, run, old, new),
     )
     holds = holds.reshape(-1)[hand_source]
-    manipulated = _manipulated(data, holds)
+    manipulated = _manipulated(data, holds, types, params)
     rests = _resting(data, manipulated, holds, params)
     chain = np.cumsum(
         np.r_[True, (data.sequence[1:] != data.sequence[:-1]) | (manipulated[1:] != manipulated[:-1])]
@@ -102,12 +105,48 @@ def _holding(data: Encoded, params: LearnParams) -> Ints:
     return holds.reshape(-1, 2)
 
 
-def _manipulated(data: Encoded, holds: Ints) -> Ints:
-    """The object grasped, else released or held, else named by the activity; shape (n,)."""
+def _manipulated(data: Encoded, holds: Ints, types: TypeHierarchy, params: LearnParams) -> Ints:
+    """The object grasped, else released or held, else named by the activity, else come near; shape (n,).
+
+    An activity may name nothing, or what no hand can hold (the table, when the hand comes down beside a cube).
+    Then the object is the one that the hand grasps next, if the hand came into a relation with it.
+    """
     before, after = holds[:, 0], holds[:, 1]
+    rows = np.arange(data.n)
+    code = data.predicate_code(params.holding)
+    wanted = data.predicates[code].argument_types[1] if code >= 0 else ROOT
+    may_hold = np.array([types.is_subtype(name, wanted) for name in data.types] + [False])
     named = np.where(data.in_hand != NOBODY, data.in_hand, data.acted_on)
-    chosen = np.where((after >= 0) & (after != before), after, np.where(before >= 0, before, named))
-    return np.where(chosen == data.hand, NOBODY, chosen)
+    named = np.where(may_hold[data.type_of(rows, named)] & (named != data.hand), named, NOBODY)
+    grasps = (after >= 0) & (after != before)
+    following = _next(np.where(grasps, after, NOBODY), data.sequence)
+    named = np.where((named == NOBODY) & (following >= 0) & _approached(data, following), following, named)
+    return np.where(grasps, after, np.where(before >= 0, before, named))
+
+
+def _next(values: Ints, sequence: Ints) -> Ints:
+    """The next value that is not ``NOBODY``, at or after each row, within its sequence."""
+    n = len(values)
+    place = np.where(values != NOBODY, np.arange(n), n)
+    place = np.minimum.accumulate(place[::-1])[::-1]
+    found = np.minimum(place, n - 1)
+    return np.where((place < n) & (sequence[found] == sequence), values[found], NOBODY)
+
+
+def _approached(data: Encoded, instances: Ints) -> NDArray[np.bool_]:
+    """Whether some relation between the row's hand and its instance begins to hold; shape (n,)."""
+    keys = []
+    for side in (0, 1):
+        row, atom = data.true.gather(2 * np.arange(data.n) + side)
+        arguments = data.atom_arguments[atom]
+        with_hand = (arguments == data.hand[row][:, None]).any(axis=1)
+        with_instance = (arguments == instances[row][:, None]).any(axis=1) & (instances[row] != NOBODY)
+        is_relation = with_hand & with_instance
+        keys.append(row[is_relation] * len(data.atom_predicate) + atom[is_relation])
+    began = np.setdiff1d(keys[1], keys[0]) // max(len(data.atom_predicate), 1)
+    result = np.zeros(data.n, dtype=bool)
+    result[began] = True
+    return result
 
 
 def _resting(data: Encoded, manipulated: Ints, holds: Ints, params: LearnParams) -> Ints:

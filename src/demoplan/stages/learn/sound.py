@@ -181,7 +181,7 @@ def _superfluous(draft: Draft, others: Sequence[Draft], noise: Noise, params: Le
     substance = _substance(draft)
     n_activity = draft.count + sum(each.count for each in siblings)
     if not substance:
-        if any(_substance(each) for each in siblings):
+        if any(_substance(each) and each.count >= draft.count for each in siblings):
             return "changes neither hold nor support, as its activity does"
         for each in siblings:
             is_more = each.count > draft.count or (
