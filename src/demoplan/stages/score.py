@@ -66,6 +66,8 @@ def score_segmentation(
         DataError: If a true track has no inferred counterpart.
     """
     counts = _Counts.of(predicted, truth, params.overlaps)
+    if not counts.episodes:
+        return Scores.create_empty()
     groups = groups or {}
     rows: list[dict[str, object]] = []
 
@@ -92,8 +94,7 @@ def score_segmentation(
         detail = None if group is None else f"left out: {group}"
         add(episode, {k: float(v[index]) for k, v in each.items()}, int(counts.n_tracks[index]), detail)
     whole = _metrics(counts, np.ones((1, n_episodes)), params.overlaps)
-    if n_episodes:
-        add(ALL, {k: float(v[0]) for k, v in whole.items()}, n_episodes, None)
+    add(ALL, {k: float(v[0]) for k, v in whole.items()}, n_episodes, None)
     for index, name in enumerate(counts.names):
         in_all = counts.confusion.sum(axis=0)
         total = in_all[index].sum() + in_all[:, index].sum()
