@@ -1,5 +1,6 @@
 """An episode's recording is read back: entities, row counts, gaps, layout; names from logs are data."""
 
+import dataclasses
 import subprocess
 
 import numpy as np
@@ -195,6 +196,16 @@ def test_speed_is_what_the_thresholds_are_compared_with_and_unknown_where_unseen
     seconds = (left.ticks_ns - left.ticks_ns[0]) * 1e-9
     assert np.median(left.values[seconds < 3.9]) < 0.03
     assert left.values[(seconds > 9.0) & (seconds < 10.2)].max() > 0.3
+
+
+def test_a_hand_with_an_extent_is_a_point_seen_through_it(sources, tmp_path):
+    palm = Entity(
+        name="Right_hand", type_name="Hand", shape=Shape("sphere", (0.16, 0.16, 0.16)), is_hand=True
+    )
+    others = tuple(e for e in sources.entities if e.name != "Right_hand")
+    path = save_episode(tmp_path / "palm.rrd", dataclasses.replace(sources, entities=(*others, palm)))
+    names = {n for c in _chunks(path, "/world/hands/Right_hand") for n in c.to_record_batch().schema.names}
+    assert {"Ellipsoids3D:half_sizes", "Points3D:positions", "Points3D:radii"} <= names
 
 
 def test_trails_do_not_bridge_gaps(sources):

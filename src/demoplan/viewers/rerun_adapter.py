@@ -223,6 +223,7 @@ def _send_body(body: Body, recording: rr.RecordingStream, times: Callable[[Ticks
     centre = np.tile(entity.shape.centre_xyz_m, (n, 1))
     colour = np.tile(np.array(body.colour, dtype=np.uint8), (n, 1))
     kind = entity.shape.kind
+    drawn: Any
     if kind == "box" and entity.is_surface:
         recording.log(path, rr.Boxes3D.from_fields(fill_mode="solid"), static=True)
         drawn = rr.Boxes3D.columns(half_sizes=np.tile(size / 2, (n, 1)), centers=centre, colors=colour)
@@ -246,14 +247,22 @@ def _send_body(body: Body, recording: rr.RecordingStream, times: Callable[[Ticks
             labels=[body.label] * n,
             colors=colour,
         )
+    elif kind == "sphere":
+        style = rr.Ellipsoids3D.from_fields(fill_mode="transparentfillmajorwireframe")
+        recording.log(path, style, static=True)
+        drawn = rr.Ellipsoids3D.columns(
+            half_sizes=np.tile(size / 2, (n, 1)), centers=centre, labels=[body.label] * n, colors=colour
+        )
     else:
-        radius = float(size.mean() / 2) if kind == "sphere" else _HAND_RADIUS_M
+        drawn = []
+    if entity.is_hand or kind == "point":
+        # A hand is seen through its extent: what it holds must not hide in it.
+        radii = np.full(n, _HAND_RADIUS_M) if body.grips is None else None
+        labels = None if drawn else [body.label] * n
+        points = rr.Points3D.columns(positions=centre, radii=radii, labels=labels, colors=colour)
+        drawn = [*drawn, *points]
         if body.grips is not None:
             _send_grip(path, body, recording, times)
-            radii = None
-        else:
-            radii = np.full(n, radius)
-        drawn = rr.Points3D.columns(positions=centre, radii=radii, labels=[body.label] * n, colors=colour)
     recording.send_columns(path, times(body.change_ticks_ns), [column.partition(counts) for column in drawn])
 
 
@@ -322,7 +331,7 @@ def _blueprint(view: EpisodeView) -> rrb.Blueprint:
     axis = rrb.archetypes.TimeAxis(link=rrb.components.LinkAxis.LinkToGlobal)
     # Most of what is to be seen rests low, with the hands above it.
     focus = np.array(view.focus_xyz_m) - np.array([0.0, 0.0, 0.2 * view.extent_m])
-    eye = focus + view.extent_m * np.array([0.2, -1.6, 1.25])
+    eye = focus + view.extent_m * np.array([0.2, -1.45, 1.15])
     trail = rrb.VisibleTimeRanges(
         timeline=EPISODE_TIMELINE,
         start=rrb.TimeRangeBoundary.cursor_relative(seconds=-view.trail_ns * 1e-9),

@@ -91,7 +91,8 @@ def score_grid(scores: pl.DataFrame | None, suite: str) -> ScoreGrid | None:
         values = [figures.get((method, metric)) for method in methods]
         known = [value for value in values if value is not None]
         # An error or a duration is better when it is smaller; a name does not tell which, so ratios only.
-        best = max(known) if known and all(0.0 <= value <= 1.0 for value in known) else None
+        is_ratio = len(set(known)) > 1 and all(0.0 <= value <= 1.0 for value in known)
+        best = max(known) if is_ratio else None
         rows.append((metric, tuple((number(v), v is not None and v == best) for v in values)))
     return ScoreGrid(methods=methods, rows=tuple(rows))
 
