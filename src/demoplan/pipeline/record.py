@@ -1,6 +1,5 @@
 """Record demonstrations: from physics and participants to logs, true labels and a manifest."""
 
-import hashlib
 import io
 import json
 import os
@@ -24,6 +23,7 @@ from demoplan.engines.mujoco.sensing import Clocks, Rig, RigParams, Sensed, Sens
 from demoplan.engines.mujoco.tasks import STUDY_TASKS, Task, parse_task
 from demoplan.errors import UnknownNameError, UsageError
 from demoplan.ids import is_safe_name
+from demoplan.logs import fingerprint
 from demoplan.logs.writing import (
     LOG_FORMATS,
     JoyStream,
@@ -138,7 +138,9 @@ def record(
             write_bytes(
                 out_dir / labels, _labels_json(demonstration, episode_id, start_ns, params.labels, notes)
             )
-            digest, n_bytes = _digest(out_dir / file)
+            digest = str(fingerprint(out_dir / file))
+            parts = [out_dir / file] if (out_dir / file).is_file() else [*(out_dir / file).iterdir()]
+            n_bytes = sum(part.stat().st_size for part in parts)
             rows.append(
                 {
                     "episode_id": episode_id,
@@ -314,17 +316,6 @@ def _labels_json(
         "recorded": {**notes, "physics": demonstration.physics},
     }
     return (json.dumps(content, indent=1) + "\n").encode()
-
-
-def _digest(path: Path) -> tuple[str, int]:
-    """SHA-256 of a file, or of a folder's databases in name order; and their size."""
-    files = sorted(path.glob("*.db3")) if path.is_dir() else [path]
-    digest, size = hashlib.sha256(), 0
-    for file in files:
-        data = file.read_bytes()
-        digest.update(data)
-        size += len(data)
-    return digest.hexdigest(), size
 
 
 def _place_vocabulary(out_dir: Path, vocabulary: Path | None, *, is_linked: bool) -> str:

@@ -36,7 +36,7 @@ from demoplan.engines.mujoco.scene import (
     touching,
 )
 from demoplan.engines.mujoco.tasks import Step, Task
-from demoplan.geometry import Array, multiply, slerp
+from demoplan.geometry import Array, multiply, rotate, slerp
 
 
 class Phase(IntEnum):
@@ -104,7 +104,9 @@ class HandArrays:
     """One hand, one row per tick."""
 
     position_xyz_m: Array
+    """Middle of the grasp, ``(n, 3)``: the point that OpenXR calls the grip pose's origin."""
     orientation_wxyz: Array
+    """``(n, 4)``"""
     trigger: Array
     """What the person's finger does: 0 let go, 1 pulled; ``(n,)``."""
     speed_m_per_s: Array
@@ -203,7 +205,10 @@ class _Session:
 
     def cube_yaw(self, name: str) -> float:
         """How a cube is turned about the vertical [rad]."""
-        return _yaw_of(self.data.xquat[self.index.bodies[name]])
+        axes = self.data.xmat[self.index.bodies[name]].reshape(3, 3)
+        # A cube that has rolled over stands on another face: its most level edge tells how it is turned.
+        edge = axes[:, np.argmin(np.abs(axes[2]))]
+        return float(np.arctan2(edge[1], edge[0]))
 
     def holds(self, side: str, cube: str) -> bool:
         """Whether a cube is where the fingers close."""
@@ -339,7 +344,9 @@ class _Session:
         varied = float(np.exp(self.rng.normal(0.0, 0.08)))
         return varied * (self.who.movement_base_s + length / self.who.speed_m_per_s)
 
-    def arc_to(self, side: str, end: Array, *, lift_m: float, onset: float, settle: float) -> Path:
+    def arc_to(
+        self, side: str, end: Array, *, lift_m: float, onset: float, settle: float, held: str | None = None
+    ) -> Path:
         """An arc from where the hand is, at this person's speed and curvature.
 
         Args:
@@ -348,6 +355,7 @@ class _Session:
             lift_m: How far the hand goes up from where it is before it may go across [m].
             onset: Share of the time after which it goes across.
             settle: Share of the time, at the end, in which it only goes down.
+            held: The cube in the hand.
         """
         start = self.intent[side].position_xyz_m
         usual = self.who.clearance_m * float(self.rng.uniform(0.85, 1.2))
@@ -359,7 +367,7 @@ class _Session:
         sign = 1.0 if side == "Right_hand" else -1.0
         curvature = sign * self.who.curvature * float(self.rng.uniform(0.6, 1.4))
         duration_s = self.duration_of(start, end, clearance)
-        for _ in range(8):
+        for _ in range(6):
             path = arc(
                 start,
                 end,
@@ -371,21 +379,24 @@ class _Session:
                     settle_share=settle,
                 ),
             )
-            if not self.would_hit(path):
+            if not self.would_hit(path, held):
                 break
             clearance += 0.03
             duration_s += 0.03 / self.who.speed_m_per_s
         return path
 
-    def would_hit(self, path: Path) -> bool:
-        """Whether fingers or cargo would touch a cube by the way, neither at its start nor its end."""
-        way = np.array([path.at(time_s) for time_s in np.linspace(0.0, path.duration_s, 24)])
-        spots = np.array([self.cube(name) for name in self.layout.names])
-        aside = np.linalg.norm(way[:, None, :2] - spots[None, :, :2], axis=2)
-        is_other = (aside[0] > 0.06) & (aside[-1] > 0.06)
-        lowest = way[:, None, 2] - self.hand_params.grasp_point_m - self.scene.cube_edge_m / 2 - 0.015
-        is_low = lowest < spots[None, :, 2] + self.scene.cube_edge_m / 2
-        return bool((is_low & (aside < 0.10) & is_other).any())
+    def would_hit(self, path: Path, held: str | None) -> bool:
+        """Whether fingers or cargo would touch a cube while they go across, between both ends of a path."""
+        way = np.array([path.at(time_s) for time_s in np.linspace(0.0, path.duration_s, 32)])
+        across = way[:, :2]
+        is_between = (np.linalg.norm(across - across[0], axis=1) > 0.02) & (
+            np.linalg.norm(across - across[-1], axis=1) > 0.02
+        )
+        spots = np.array([self.cube(name) for name in self.layout.names if name != held]).reshape(-1, 3)
+        aside = np.linalg.norm(across[:, None] - spots[None, :, :2], axis=2)
+        lowest = way[:, 2] - self.hand_params.grasp_point_m - self.scene.cube_edge_m / 2 - 0.005
+        is_low = lowest[:, None] < spots[None, :, 2] + self.scene.cube_edge_m / 2
+        return bool((is_low & (aside < 0.10) & is_between[:, None]).any())
 
     def straight(self, side: str, end: Array, duration_s: float) -> Path:
         """A straight way from where the hand is."""
@@ -457,7 +468,7 @@ class _Session:
         orientation = _yaw_quaternion(hand_yaw + self.rng.normal(0.0, self.who.yaw_sd_rad))
         hover_m = float(self.rng.uniform(0.018, 0.040))
         hover = target - in_hand + np.array([0.0, 0.0, hover_m])
-        path = self.arc_to(side, hover, lift_m=self.who.clearance_m, onset=0.22, settle=0.16)
+        path = self.arc_to(side, hover, lift_m=self.who.clearance_m, onset=0.22, settle=0.16, held=step.cube)
         if not (yield from self.follow(side, path, orientation, watch=step.cube)):
             return False
         # The last bit is done by eye: what counts is where the cube is, not where the hand is.
@@ -580,9 +591,11 @@ class _Session:
     def _arrays(self, track: HandTrack) -> HandArrays:
         intended = np.array(track.intended_xyz_m)
         velocity = np.gradient(intended, self.params.control_step_s, axis=0)
+        orientation = np.array(track.orientation_wxyz)
+        to_grasp = np.array([0.0, 0.0, -self.hand_params.grasp_point_m])
         return HandArrays(
-            position_xyz_m=np.array(track.position_xyz_m),
-            orientation_wxyz=np.array(track.orientation_wxyz),
+            position_xyz_m=np.array(track.position_xyz_m) + rotate(orientation, to_grasp),
+            orientation_wxyz=orientation,
             trigger=np.array(track.grip),
             speed_m_per_s=np.linalg.norm(velocity, axis=1),
             phase=np.array(track.phase, dtype=np.int64),

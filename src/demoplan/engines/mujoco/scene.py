@@ -261,16 +261,17 @@ def is_resting_on(
     scene: SceneParams = SceneParams(),
     params: RestingParams = RestingParams(),
 ) -> bool:
-    """Whether a cube rests on the table or on another cube: upright, at its height, in contact and still."""
+    """Whether a cube rests on the table or on another cube: level, at its height, in contact and still."""
     position = data.xpos[index.bodies[cube]]
-    up = data.xmat[index.bodies[cube]].reshape(3, 3)[:, 2]
+    # Whichever face it stands on: a cube that has rolled over is as good as before.
+    upright = np.abs(data.xmat[index.bodies[cube]].reshape(3, 3)[2]).max()
     speed = np.linalg.norm(data.qvel[index.velocities[cube] : index.velocities[cube] + 3])
     height = scene.cube_edge_m / 2
     if support != TABLE:
         height = data.xpos[index.bodies[support]][2] + scene.cube_edge_m
     return bool(
         abs(position[2] - height) <= params.height_tolerance_m
-        and np.arccos(np.clip(up[2], -1.0, 1.0)) <= params.tilt_limit_rad
+        and np.arccos(np.clip(upright, -1.0, 1.0)) <= params.tilt_limit_rad
         and speed <= params.speed_limit_m_per_s
         and touching(data, index.geoms[cube], index.geoms[support])
     )
