@@ -1,0 +1,241 @@
+"""Commands about data: record, ingest, doctor, tables, view."""
+
+import os
+from pathlib import Path
+from typing import Annotated, Any
+
+import polars as pl
+import typer
+
+from demoplan.cli.options import (
+    DEFAULT_STORE,
+    JsonOption,
+    RootOption,
+    StoreOption,
+    WorkersOption,
+    existing_store,
+    workers_of,
+)
+from demoplan.cli.output import Exit, print_frame, print_json, print_table, progress, say, warn
+from demoplan.errors import UnknownNameError, UsageError
+from demoplan.store import EpisodeState, Store
+from demoplan.tables import Activities, Episodes, Facts, Frames, Samples, Topics, Transitions
+
+EPISODE_TABLES = {
+    "episodes": Episodes,
+    "topics": Topics,
+    "samples": Samples,
+    "frames": Frames,
+    "facts": Facts,
+    "labels": Activities,
+    "activities": Activities,
+    "transitions": Transitions,
+}
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands."""
+    app.command()(ingest)
+    app.command()(doctor)
+    app.command()(tables)
+    app.command()(view)
+    app.command()(record)
+
+
+def show_states(states: list[EpisodeState], *, as_json: bool) -> Exit:
+    """Print what became of each episode; data that was lost or set aside gives its exit code."""
+    lost = [state for state in states if state.status != "complete"]
+    if as_json:
+        print_json([{"episode_id": s.episode_id, "status": s.status, "reason": s.reason} for s in states])
+    for state in lost:
+        warn(f"{state.episode_id} is {state.status}: {state.reason}")
+    return Exit.DATA_LOSS if lost else Exit.FINE
+
+
+def ingest(
+    dataset: Annotated[Path, typer.Argument(help="Folder with dataset.yaml, or the file.")],
+    store: StoreOption = DEFAULT_STORE,
+    root: RootOption = None,
+    workers: WorkersOption = 0,
+    as_json: JsonOption = False,
+) -> None:
+    """Read, align and perceive every episode of a dataset into the store."""
+    from demoplan.pipeline.datasets import open_dataset
+    from demoplan.pipeline.ingest import ingest as ingest_all
+    from demoplan.pipeline.ingest import jobs_of
+
+    opened = open_dataset(dataset, root=root, environment=os.environ)
+    jobs = jobs_of(opened, Store(store), opened.dataset.episodes)
+    with progress("ingest", len(jobs)) as done:
+        states = ingest_all(
+            jobs,
+            n_workers=workers_of(workers),
+            on_done=lambda state: done(f"{state.episode_id} {state.status}"),
+        )
+    if not as_json:
+        print_table(
+            f"{opened.dataset.name}: {len(states)} episodes",
+            ["episode", "status", "tables"],
+            [(s.episode_id, s.status, ", ".join(sorted(s.tables))) for s in states],
+        )
+    raise typer.Exit(int(show_states(states, as_json=as_json)))
+
+
+def tables(
+    name: Annotated[str | None, typer.Argument(help="Which table; without it, what there is.")] = None,
+    episode: Annotated[str | None, typer.Option("--episode", "-e", help="One episode only.")] = None,
+    dataset: Annotated[str | None, typer.Option("--dataset", "-d", help="One dataset only.")] = None,
+    where: Annotated[
+        str | None, typer.Option("--where", help="SQL condition on the rows: \"activity = 'Reach'\".")
+    ] = None,
+    limit: Annotated[int, typer.Option("--limit", min=1, help="Rows to show.")] = 20,
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="Write the rows to a .parquet or .csv file.")
+    ] = None,
+    store: StoreOption = DEFAULT_STORE,
+    as_json: JsonOption = False,
+) -> None:
+    """List the stored tables, or show the rows of one."""
+    opened = existing_store(store)
+    states = [opened.manifest.episode(episode)] if episode else opened.manifest.episodes(dataset)
+    if name is None:
+        rows = [
+            {"dataset": s.dataset, "episode_id": s.episode_id, "table": table, "content": content}
+            for s in states
+            for table, content in sorted(s.tables.items())
+        ]
+        if as_json:
+            print_json(rows)
+        else:
+            listed = pl.DataFrame(rows, schema=["dataset", "episode_id", "table", "content"], orient="row")
+            print_frame("tables", listed, limit=10_000)
+        return
+    if name not in EPISODE_TABLES:
+        raise UnknownNameError("table", name, EPISODE_TABLES)
+    parts = [opened.get(state.tables[name], EPISODE_TABLES[name]) for state in states if name in state.tables]
+    whole: pl.DataFrame = pl.concat(parts) if parts else EPISODE_TABLES[name].create_empty()
+    if where is not None:
+        try:
+            whole = pl.SQLContext({name: whole}).execute(f"SELECT * FROM {name} WHERE {where}", eager=True)
+        except pl.exceptions.PolarsError as error:
+            raise UsageError(f"--where {where!r}: {error}; columns: {', '.join(whole.columns)}") from None
+    if output is not None:
+        _write(whole, output)
+        say(f"{whole.height} rows written to {output}")
+    elif as_json:
+        print_json(whole)
+    else:
+        print_frame(name, whole, limit=limit)
+
+
+def _write(table: pl.DataFrame, output: Path) -> None:
+    if output.suffix == ".parquet":
+        table.write_parquet(output)
+    elif output.suffix == ".csv":
+        flat = [
+            pl.col(column).list.join(" ") if dtype == pl.List(pl.String) else pl.col(column)
+            for column, dtype in table.schema.items()
+            if not isinstance(dtype, pl.Array) and dtype not in (pl.List(pl.Struct),)
+        ]
+        table.select(flat).write_csv(output)
+    else:
+        raise UsageError(f"{output}: unknown kind of file {output.suffix!r}; known: .parquet, .csv")
+
+
+def doctor(
+    log: Annotated[Path, typer.Argument(help="A log: .mcap, .bag, .db3, or a rosbag2 folder.")],
+    dataset: Annotated[
+        Path | None, typer.Option("--dataset", "-d", help="Check it against this dataset's mapping too.")
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Say what is in a log, and what is wrong with it: rates, gaps, clocks, types, frames."""
+    from demoplan.cli.log_report import exit_code_of, show_log_report
+    from demoplan.logs import inspect
+    from demoplan.manifests.dataset import parse_dataset
+    from demoplan.pipeline.datasets import read_manifest
+
+    mapping, folder = None, None
+    if dataset is not None:
+        manifest, text = read_manifest(dataset)
+        mapping, folder = parse_dataset(text, manifest).mapping, manifest.parent
+    report = inspect(log, mapping, definitions_root=folder)
+    if as_json:
+        print_json(report.as_json())
+    else:
+        show_log_report(report)
+    raise typer.Exit(int(exit_code_of(report)))
+
+
+def view(
+    episode: Annotated[str, typer.Argument(help="Episode id, or DATASET/EPISODE.")],
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", metavar="FILE.rrd", help="Save it; open nothing.")
+    ] = None,
+    png: Annotated[
+        Path | None,
+        typer.Option("--png", metavar="FILE.png", help="Draw it into a picture; needs no screen."),
+    ] = None,
+    url: Annotated[
+        str | None, typer.Option("--connect", metavar="URL", help="Send it to a viewer that is running.")
+    ] = None,
+    store: StoreOption = DEFAULT_STORE,
+) -> None:
+    """Look at an episode in rerun: scene, trails, activities beside the truth, predicates, operators."""
+    from demoplan.pipeline.datasets import recall
+    from demoplan.pipeline.learning import latest_evidence
+    from demoplan.pipeline.viewing import record_view
+    from demoplan.viewers.episode import open_episode, render_episode_png
+
+    opened = existing_store(store)
+    state = opened.manifest.episode(episode)
+    path = output or store / "recordings" / state.dataset / f"{state.episode_id}.rrd"
+    evidence = latest_evidence(opened, state.dataset)
+    record_view(opened, recall(opened, state.dataset), state, path, evidence)
+    say(f"recording written to {path}")
+    if png is not None:
+        render_episode_png(path, png)
+        say(f"picture written to {png}")
+    elif output is None:
+        open_episode(path, url=url)
+
+
+def record(
+    folder: Annotated[Path, typer.Argument(help="Folder to write the dataset to.")],
+    participants: Annotated[int, typer.Option("--participants", "-p", min=1, help="How many people.")] = 3,
+    task: Annotated[
+        list[str] | None,
+        typer.Option("--task", "-t", help="Task; may be repeated. Default: the study's four."),
+    ] = None,
+    seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of people, layouts and noise.")] = 0,
+    log_format: Annotated[
+        list[str] | None,
+        typer.Option("--format", "-f", help="mcap, rosbag2, rosbag1; may be repeated, people take turns."),
+    ] = None,
+    name: Annotated[str | None, typer.Option("--name", help="Name of the dataset.")] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Record demonstrations by simulated people in a physics scene: logs, true labels and dataset.yaml."""
+    from demoplan.engines.mujoco import STUDY_TASKS
+    from demoplan.logs.writing import LOG_FORMATS
+    from demoplan.pipeline import record as recording
+
+    for asked in log_format or ():
+        if asked not in LOG_FORMATS:
+            raise UnknownNameError("log format", asked, LOG_FORMATS)
+    formats: tuple[Any, ...] = tuple(log_format or LOG_FORMATS)
+    tasks = tuple(task or STUDY_TASKS)
+    with progress("record", participants * len(tasks)) as done:
+        rows = recording.record(
+            folder,
+            participants=participants,
+            tasks=tasks,
+            seed=seed,
+            formats=formats,
+            name=name,
+            on_episode=done,
+        )
+    if as_json:
+        print_json(rows)
+    else:
+        print_frame(f"recorded into {folder}", rows.drop("sha256"), limit=1000)

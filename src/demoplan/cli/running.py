@@ -1,0 +1,167 @@
+"""The main job: run."""
+
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import polars as pl
+import typer
+
+from demoplan.cli.data import show_states
+from demoplan.cli.options import (
+    DEFAULT_STORE,
+    JsonOption,
+    RootOption,
+    StoreOption,
+    WorkersOption,
+    workers_of,
+)
+from demoplan.cli.output import Exit, print_json, print_table, progress, say
+from demoplan.store import Store
+
+if TYPE_CHECKING:
+    from demoplan.pipeline.datasets import OpenDataset
+    from demoplan.pipeline.run import RunResult
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command."""
+    app.command()(run)
+
+
+def run(
+    dataset: Annotated[Path, typer.Argument(help="Folder with dataset.yaml, or the file.")],
+    store: StoreOption = DEFAULT_STORE,
+    root: RootOption = None,
+    segmenter: Annotated[
+        str,
+        typer.Option(
+            help="auto, rules, decision_tree, random_forest, extra_trees, gradient_boosting, or a file."
+        ),
+    ] = "auto",
+    fresh: Annotated[
+        int,
+        typer.Option(min=0, metavar="N", help="Also record N new people, and try the same on them."),
+    ] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the new people.")] = 1,
+    workers: WorkersOption = 0,
+    as_json: JsonOption = False,
+) -> None:
+    """Logs to activities, domains, plans, scores and a report; what is up to date is skipped."""
+    from demoplan.pipeline.datasets import open_dataset
+    from demoplan.pipeline.run import run as run_all
+
+    opened = open_dataset(dataset, root=root, environment=os.environ)
+    others = _recorded(store, opened, fresh, seed) if fresh else None
+    result = run_all(
+        opened,
+        Store(store),
+        segmenter=segmenter,
+        n_workers=workers_of(workers),
+        progress=progress,
+        fresh=others,
+    )
+    if as_json:
+        print_json(_summary(result))
+    else:
+        _show(result)
+    say(f"report: {result.report}")
+    raise typer.Exit(int(max(show_states(list(result.states), as_json=False), Exit.FINE)))
+
+
+def _recorded(store: Path, opened: "OpenDataset", n_people: int, seed: int) -> "OpenDataset":
+    """New people who do what the dataset's people did; recorded once for each number and seed."""
+    from demoplan.pipeline.datasets import open_dataset
+    from demoplan.pipeline.record import record
+
+    name = f"fresh-{n_people}-seed-{seed}"
+    folder = store / "fresh" / name
+    if not (folder / "dataset.yaml").is_file():
+        tasks = list(dict.fromkeys(episode.task for episode in opened.dataset.episodes))
+        with progress(f"record {n_people} new people", n_people * len(tasks)) as done:
+            record(
+                folder,
+                participants=[f"n{k + 1}" for k in range(n_people)],
+                tasks=tasks,
+                seed=seed,
+                formats=("mcap",),
+                name=name,
+                on_episode=done,
+            )
+    return open_dataset(folder)
+
+
+def _show(result: "RunResult") -> None:
+    main = [s for s in result.scores.iter_rows(named=True) if s["subject"] == "all"]
+    print_table(
+        "Activities against the truth",
+        ["what", "method", "metric", "value", "95 % interval", "n"],
+        [
+            (s["suite"], s["method"], s["metric"], _figure(s["value"]), _interval(s), s["n"])
+            for s in main
+            if s["suite"].startswith("segmentation")
+        ],
+    )
+    print_table(
+        "Domains",
+        ["learned from", "id", "operators", "transitions"],
+        [
+            (
+                name,
+                each.version.domain_id,
+                len(each.domain.operators),
+                each.operators["n_transitions"].sum(),
+            )
+            for name, each in result.learned.items()
+        ],
+    )
+    plans = result.scores.filter(pl.col("suite") == "planning")
+    print_table(
+        "Plans",
+        ["domains", "metric", "value", "95 % interval", "how many"],
+        [
+            (s["subject"], s["metric"], _figure(s["value"]), _interval(s), s["detail"])
+            for s in plans.iter_rows(named=True)
+        ],
+    )
+    failures = [each.trial for each in result.tried if each.trial.cause is not None]
+    if failures:
+        print_table(
+            "Goals that were not reached",
+            ["domain", "goal", "cause"],
+            [(t.domain, t.goal, t.cause) for t in failures],
+        )
+
+
+def _figure(value: float | None) -> str:
+    return "–" if value is None else f"{value:.3f}"
+
+
+def _interval(score: dict[str, object]) -> str:
+    low, high = score["low"], score["high"]
+    return f"{low:.3f} to {high:.3f}" if low is not None and high is not None else ""
+
+
+def _summary(result: "RunResult") -> dict[str, object]:
+    return {
+        "episodes": [
+            {"episode_id": s.episode_id, "dataset": s.dataset, "status": s.status, "reason": s.reason}
+            for s in result.states
+        ],
+        "domains": [
+            {
+                "name": name,
+                "domain_id": each.version.domain_id,
+                "n_operators": len(each.domain.operators),
+            }
+            for name, each in result.learned.items()
+        ],
+        "scores": result.scores,
+        "failures": [
+            {"domain": t.trial.domain, "goal": t.trial.goal, "cause": t.trial.cause}
+            for t in result.tried
+            if t.trial.cause is not None
+        ],
+        "method": result.method,
+        "report": str(result.report),
+    }

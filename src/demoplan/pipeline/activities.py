@@ -1,0 +1,325 @@
+"""Facts to activities to transitions, over the store; and the training of segmenters."""
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+import dataframely as dy
+import polars as pl
+
+from demoplan.errors import UnknownNameError, UsageError
+from demoplan.ids import content_hash
+from demoplan.pipeline.datasets import OpenDataset, remember
+from demoplan.pipeline.ingest import EpisodeTables, ingest, jobs_of
+from demoplan.pipeline.reporting import Progress, silent
+from demoplan.stages.contrast import contrast
+from demoplan.stages.score import confusion, majority_activities, score_segmentation
+from demoplan.stages.segment import (
+    PUBLISHED_RULES,
+    RuleTree,
+    Segmenter,
+    SegmentParams,
+    TrainParams,
+    parse_segmenter,
+    render_segmenter,
+    segment,
+    train,
+)
+from demoplan.store import EpisodeState, Store, stage_key
+from demoplan.store.atomic import write_bytes
+from demoplan.store.code_version import code_version
+from demoplan.store.objects import Table
+from demoplan.store.store import canonical_json
+from demoplan.tables import Activities, Confusions, Facts, Frames, Scores, Transitions
+
+MAJORITY = "most frequent activity"
+"""Name of the naive alternative to a segmenter."""
+
+RULES = "rules"
+"""Name of the published rule tree, where a training method could stand."""
+
+METHODS = ("decision_tree", "random_forest", "extra_trees", "gradient_boosting")
+
+
+@dataclass(frozen=True, kw_only=True)
+class ChosenSegmenter:
+    """A segmenter, with what names it in keys and reports."""
+
+    segmenter: Segmenter | RuleTree
+    method: str
+    content: str
+    """Hash of what it is."""
+
+
+def usable(states: Iterable[EpisodeState]) -> list[EpisodeState]:
+    """The episodes whose facts are there: quarantined ones are left out."""
+    return [state for state in states if state.status != "quarantined" and "facts" in state.tables]
+
+
+def rules() -> ChosenSegmenter:
+    """The published rules, which need no labels."""
+    return ChosenSegmenter(
+        segmenter=PUBLISHED_RULES, method=RULES, content=content_hash(canonical_json(asdict(PUBLISHED_RULES)))
+    )
+
+
+def read_segmenter(path: Path) -> ChosenSegmenter:
+    """A segmenter that ``demoplan segmenter train`` wrote.
+
+    Raises:
+        UsageError: If the file is not there.
+        DataError: If it is not a segmenter.
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise UsageError(f"{path}: cannot be read: {error}") from None
+    return ChosenSegmenter(segmenter=parse_segmenter(text), method=path.name, content=content_hash(text))
+
+
+def tables_of(
+    store: Store, states: Sequence[EpisodeState], name: str, schema: type[Table]
+) -> dy.DataFrame[Table]:
+    """One table of several episodes, joined in order of episode."""
+    parts = [store.get(state.tables[name], schema) for state in states if name in state.tables]
+    whole: pl.DataFrame = pl.concat(parts) if parts else schema.create_empty()
+    return schema.cast(whole)
+
+
+def trained(
+    opened: OpenDataset, store: Store, states: Sequence[EpisodeState], params: TrainParams
+) -> ChosenSegmenter:
+    """A segmenter fitted to the labelled ones of these episodes; found in the store if it was fitted before.
+
+    Raises:
+        UsageError: If none of the episodes has labels.
+    """
+    labelled = [state for state in usable(states) if "labels" in state.tables]
+    if not labelled:
+        raise UsageError(
+            f"{opened.dataset.name}: none of {len(states)} episodes has true labels to train from; "
+            f"`--segmenter {RULES}` needs none"
+        )
+    inputs = {
+        f"{state.episode_id}/{name}": state.tables[name]
+        for state in labelled
+        for name in ("frames", "facts", "labels")
+    }
+    version = code_version("demoplan.stages.segment")
+    settings = canonical_json({"params": asdict(params), "entities": entity_types(opened)})
+    path = store.root / "segmenters" / f"{stage_key('train', inputs, settings, version)}.json"
+    if not path.is_file():
+        segmenter = train(
+            tables_of(store, labelled, "frames", Frames),
+            tables_of(store, labelled, "facts", Facts),
+            tables_of(store, labelled, "labels", Activities),
+            entity_types(opened),
+            opened.vocabulary.types,
+            params=params,
+        )
+        write_bytes(path, render_segmenter(segmenter).encode())
+    return replace(read_segmenter(path), method=params.method)
+
+
+def entity_types(opened: OpenDataset) -> dict[str, str]:
+    """Instance → type, as the dataset's mapping says."""
+    return {name: entity.type for name, entity in sorted(opened.dataset.mapping.entities.items())}
+
+
+def groups_of(opened: OpenDataset) -> dict[str, str]:
+    """Episode → what is left out together with it: its participant, or itself where there is only one."""
+    participants = {episode.id: episode.participant for episode in opened.dataset.episodes}
+    if len(set(participants.values())) > 1:
+        return participants
+    return {name: name for name in participants}
+
+
+def segmenters_for(
+    opened: OpenDataset, store: Store, states: Sequence[EpisodeState], method: str
+) -> dict[str, ChosenSegmenter]:
+    """The segmenter of each episode: never one that has seen the episode's own group.
+
+    Args:
+        opened: The dataset.
+        store: Where the episodes' tables are.
+        states: The episodes.
+        method: ``rules``, a training method, or ``auto``: a decision tree if labels allow it, else the rules.
+
+    Raises:
+        UsageError: If the method is unknown, or there are labels of one group only.
+    """
+    if method not in (RULES, "auto", *METHODS):
+        raise UsageError(
+            f"unknown segmenter {method!r}; known: auto, {RULES}, {', '.join(METHODS)}, or a file"
+        )
+    groups = groups_of(opened)
+    good = usable(states)
+    labelled = {groups[state.episode_id] for state in good if "labels" in state.tables}
+    if method == RULES or (method == "auto" and len(labelled) < 2):
+        return {state.episode_id: rules() for state in good}
+    if len(labelled) < 2:
+        raise UsageError(
+            f"{opened.dataset.name}: an episode may not be segmented by what was trained on it, and labels "
+            f"are there for {len(labelled)} group(s) only; use `--segmenter {RULES}` or a file"
+        )
+    params = TrainParams(method="decision_tree" if method == "auto" else method)  # type: ignore[arg-type]
+    by_group = {
+        group: trained(opened, store, [s for s in good if groups[s.episode_id] != group], params)
+        for group in sorted({groups[state.episode_id] for state in good})
+    }
+    return {state.episode_id: by_group[groups[state.episode_id]] for state in good}
+
+
+def segment_episodes(
+    opened: OpenDataset,
+    store: Store,
+    states: Sequence[EpisodeState],
+    segmenters: dict[str, ChosenSegmenter],
+    *,
+    params: SegmentParams = SegmentParams(),
+    is_kept: bool = True,
+    on_done: Callable[[EpisodeState], None] = lambda _: None,
+) -> list[EpisodeState]:
+    """Activities and transitions of every usable episode; the others come back as they are.
+
+    Args:
+        opened: The dataset.
+        store: Where the episodes' tables are.
+        states: The episodes.
+        segmenters: The segmenter of each episode.
+        params: Segmentation choices.
+        is_kept: Whether the manifest names the results as what now stands for the episodes.
+        on_done: Called with each episode when it is done.
+    """
+    entities = entity_types(opened)
+    results = []
+    for state in states:
+        result = state
+        if state.episode_id in segmenters:
+            result = _segment_one(opened, store, state, segmenters[state.episode_id], params, entities)
+        results.append(result)
+        on_done(result)
+    if is_kept:
+        store.manifest.update(results)
+    return results
+
+
+def _segment_one(
+    opened: OpenDataset,
+    store: Store,
+    state: EpisodeState,
+    chosen: ChosenSegmenter,
+    params: SegmentParams,
+    entities: dict[str, str],
+) -> EpisodeState:
+    tables = EpisodeTables(store)
+    tables.contents |= state.tables
+    tables.run(
+        "segment",
+        modules=["demoplan.stages.segment"],
+        inputs={
+            "frames": state.tables["frames"],
+            "facts": state.tables["facts"],
+            "segmenter": chosen.content,
+        },
+        params={"params": asdict(params), "entities": entities, "types": opened.vocabulary.types.parents},
+        make=lambda: {
+            "activities": (
+                segment(
+                    tables.get("frames", Frames),
+                    tables.get("facts", Facts),
+                    entities,
+                    opened.vocabulary.types,
+                    chosen.segmenter,
+                    params=params,
+                ),
+                Activities,
+            )
+        },
+    )
+    tables.run(
+        "contrast",
+        modules=["demoplan.stages.contrast"],
+        inputs={"activities": tables.contents["activities"], "facts": state.tables["facts"]},
+        params={"entities": entities},
+        make=lambda: {
+            "transitions": (
+                contrast(tables.get("activities", Activities), tables.get("facts", Facts), entities),
+                Transitions,
+            )
+        },
+    )
+    return replace(state, tables=tables.contents, keys=state.keys | tables.keys)
+
+
+def _ingested(opened: OpenDataset, store: Store, n_workers: int, progress: Progress) -> list[EpisodeState]:
+    remember(opened, store)
+    jobs = jobs_of(opened, store, opened.dataset.episodes)
+    with progress(f"{opened.dataset.name}: read, align, perceive", len(jobs)) as done:
+        return ingest(jobs, n_workers=n_workers, on_done=lambda s: done(f"{s.episode_id} {s.status}"))
+
+
+def train_on(
+    opened: OpenDataset,
+    store: Store,
+    *,
+    method: str,
+    split: str | None,
+    n_workers: int,
+    progress: Progress = silent,
+) -> tuple[ChosenSegmenter, str]:
+    """A segmenter fitted to every labelled episode of a dataset, or of one of its splits, and its text.
+
+    Raises:
+        UsageError: If the method is unknown, or there are no labels.
+        UnknownNameError: If the split is unknown.
+    """
+    if method not in METHODS:
+        raise UnknownNameError("method", method, METHODS)
+    if split is not None and split not in opened.dataset.splits:
+        raise UnknownNameError("split", split, opened.dataset.splits, opened.dataset.name)
+    members = opened.dataset.splits[split] if split else [e.id for e in opened.dataset.episodes]
+    states = [s for s in _ingested(opened, store, n_workers, progress) if s.episode_id in members]
+    chosen = trained(opened, store, states, TrainParams(method=method))  # type: ignore[arg-type]
+    assert isinstance(chosen.segmenter, Segmenter)
+    return chosen, render_segmenter(chosen.segmenter)
+
+
+def score_methods(
+    opened: OpenDataset,
+    store: Store,
+    *,
+    methods: Sequence[str],
+    n_workers: int,
+    progress: Progress = silent,
+) -> tuple[dy.DataFrame[Scores], dy.DataFrame[Confusions]]:
+    """How good segmenters are on a dataset's labels, beside the naive alternative.
+
+    A training method is fitted anew for every participant (for every take, if there is one participant)
+    without that participant's episodes. A segmenter's file is taken as it is: whether it has seen the
+    episodes is for the caller to know.
+
+    Raises:
+        UsageError: If no episode has labels, or a method is unknown.
+    """
+    states = [s for s in usable(_ingested(opened, store, n_workers, progress)) if "labels" in s.tables]
+    if not states:
+        raise UsageError(f"{opened.dataset.name}: no episode has true labels to score against")
+    truth = tables_of(store, states, "labels", Activities)
+    groups = groups_of(opened)
+    scores, confusions = [], []
+    naive = majority_activities(truth)
+    scores.append(score_segmentation(naive, truth, MAJORITY, groups=groups))
+    with progress(f"{opened.dataset.name}: segment", len(methods)) as done:
+        for method in methods:
+            if Path(method).is_file():
+                chosen = read_segmenter(Path(method))
+                segmenters = {state.episode_id: chosen for state in states}
+            else:
+                segmenters = segmenters_for(opened, store, states, method)
+            found = segment_episodes(opened, store, states, segmenters, is_kept=False)
+            activities = tables_of(store, found, "activities", Activities)
+            scores.append(score_segmentation(activities, truth, method, groups=groups))
+            confusions.append(confusion(activities, truth, method))
+            done(method)
+    return Scores.validate(pl.concat(scores)), Confusions.validate(pl.concat(confusions))

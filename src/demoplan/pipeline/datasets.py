@@ -1,0 +1,159 @@
+"""A dataset on disk: its manifest, its vocabulary and where its logs are."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from demoplan.errors import StoreError, UnknownNameError, UsageError
+from demoplan.ids import is_safe_name
+from demoplan.language.vocabulary import Vocabulary
+from demoplan.manifests.dataset import Dataset, Episode, parse_dataset
+from demoplan.manifests.vocabulary import parse_vocabulary
+from demoplan.store import Store
+from demoplan.store.atomic import write_bytes
+
+MANIFEST_NAME = "dataset.yaml"
+
+
+@dataclass(frozen=True, kw_only=True)
+class OpenDataset:
+    """A dataset that has been read and checked; its logs have not been touched."""
+
+    dataset: Dataset
+    vocabulary: Vocabulary
+    folder: Path
+    """Where the manifest is."""
+    root: Path
+    """Where the logs are."""
+    manifest_text: str
+    vocabulary_text: str
+
+    def log_of(self, episode: Episode) -> Path:
+        """Path of an episode's log."""
+        return self.root / episode.file
+
+    def labels_of(self, episode: Episode) -> Path | None:
+        """Path of an episode's true labels, if it has any."""
+        return self.root / episode.labels if episode.labels is not None else None
+
+    def episode(self, name: str) -> Episode:
+        """The episode of that id.
+
+        Raises:
+            UnknownNameError: If the dataset has none.
+        """
+        for episode in self.dataset.episodes:
+            if episode.id == name:
+                return episode
+        raise UnknownNameError("episode", name, [e.id for e in self.dataset.episodes], str(self.folder))
+
+
+def read_manifest(path: Path) -> tuple[Path, str]:
+    """Path and text of the manifest at ``path``, or in the folder ``path``.
+
+    Raises:
+        UsageError: If there is none.
+    """
+    manifest = path / MANIFEST_NAME if path.is_dir() else path
+    if not manifest.is_file():
+        nearby = sorted(p.parent.name for p in path.parent.glob(f"*/{MANIFEST_NAME}"))
+        hint = f"; datasets beside it: {', '.join(nearby)}" if nearby else ""
+        raise UsageError(f"{path}: no dataset here; expected a folder with {MANIFEST_NAME}{hint}")
+    return manifest, _text(manifest)
+
+
+def open_dataset(
+    path: Path, *, root: Path | None = None, environment: Mapping[str, str] | None = None
+) -> OpenDataset:
+    """Read a dataset's manifest and vocabulary, and find its logs.
+
+    Args:
+        path: The manifest, or the folder that holds ``dataset.yaml``.
+        root: Where the logs are; otherwise the manifest's ``root_variable`` is looked up in ``environment``,
+            otherwise its ``root`` is taken, otherwise the manifest's own folder.
+        environment: Variables that may name the root.
+
+    Raises:
+        UsageError: If the manifest or the root is not there.
+        ManifestError: If the manifest or the vocabulary breaks its contract.
+    """
+    manifest, manifest_text = read_manifest(path)
+    dataset = parse_dataset(manifest_text, manifest)
+    vocabulary_path = manifest.parent / dataset.vocabulary
+    vocabulary_text = _text(vocabulary_path)
+    vocabulary = parse_vocabulary(vocabulary_text, vocabulary_path)
+    for name, entity in dataset.mapping.entities.items():
+        if entity.type not in vocabulary.types.names:
+            raise UnknownNameError("type", entity.type, vocabulary.types.names, f"{manifest}, {name}")
+    named = (environment or {}).get(dataset.root_variable or "")
+    if root is None and named:
+        root = Path(named)
+    if root is None:
+        if dataset.root is None and dataset.root_variable is not None:
+            raise UsageError(
+                f"{manifest}: the logs of {dataset.name!r} are not part of this folder; "
+                f"give --root FOLDER or set {dataset.root_variable}"
+            )
+        root = manifest.parent / (dataset.root or ".")
+    if not root.is_dir():
+        raise UsageError(f"{root}: no such folder; the logs of {dataset.name!r} were looked for there")
+    return OpenDataset(
+        dataset=dataset,
+        vocabulary=vocabulary,
+        folder=manifest.parent,
+        root=root,
+        manifest_text=manifest_text,
+        vocabulary_text=vocabulary_text,
+    )
+
+
+def remember(opened: OpenDataset, store: Store) -> None:
+    """Keep a dataset's manifest and vocabulary beside what they produced."""
+    kept = {
+        "folder": str(opened.folder),
+        "root": str(opened.root),
+        "manifest": opened.manifest_text,
+        "vocabulary": opened.vocabulary_text,
+    }
+    write_bytes(
+        store.root / "datasets" / f"{opened.dataset.name}.json",
+        (json.dumps(kept, sort_keys=True, indent=1) + "\n").encode(),
+    )
+
+
+def recall(store: Store, name: str) -> OpenDataset:
+    """A dataset as it was when the store last saw it; its logs need not be there any more.
+
+    Raises:
+        UnknownNameError: If the store has not seen it.
+        StoreError: If what was kept cannot be read.
+    """
+    path = store.root / "datasets" / f"{name}.json"
+    if not is_safe_name(name) or not path.is_file():
+        known = [p.stem for p in path.parent.glob("*.json")]
+        raise UnknownNameError("dataset", name, known, where=f"store {store.root}")
+    try:
+        kept = json.loads(path.read_text(encoding="utf-8"))
+        folder = Path(kept["folder"])
+        dataset = parse_dataset(kept["manifest"], folder / MANIFEST_NAME)
+        vocabulary = parse_vocabulary(kept["vocabulary"], folder / dataset.vocabulary)
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise StoreError(f"{path}: cannot be read: {error}; ingest the dataset again") from None
+    return OpenDataset(
+        dataset=dataset,
+        vocabulary=vocabulary,
+        folder=folder,
+        root=Path(kept["root"]),
+        manifest_text=kept["manifest"],
+        vocabulary_text=kept["vocabulary"],
+    )
+
+
+def _text(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8")
+    except FileNotFoundError:
+        raise UsageError(f"{path}: no such file") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise UsageError(f"{path}: cannot be read: {error}") from None

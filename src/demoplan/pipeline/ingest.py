@@ -1,0 +1,319 @@
+"""Logs to facts, by episode: what is up to date is skipped, what is bad is set aside with its reason."""
+
+import json
+import multiprocessing
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+import dataframely as dy
+import polars as pl
+
+from demoplan.errors import DataError, DemoplanError, LogError, StoreError
+from demoplan.language.vocabulary import Vocabulary
+from demoplan.logs import fingerprint, open_log
+from demoplan.manifests.dataset import Episode
+from demoplan.manifests.labels import activities_of_labels
+from demoplan.manifests.mapping import Mapping
+from demoplan.pipeline.datasets import OpenDataset
+from demoplan.stages.align import AlignParams, align
+from demoplan.stages.perceive import PerceiveParams, perceive
+from demoplan.store import EpisodeState, Store
+from demoplan.store.code_version import code_version
+from demoplan.store.objects import Table
+from demoplan.store.store import StageOutput, canonical_json
+from demoplan.tables import Activities, Episodes, Facts, Frames, Samples, Topics
+
+
+@dataclass(frozen=True, kw_only=True)
+class IngestJob:
+    """All that a process needs to ingest one episode."""
+
+    store_root: Path
+    dataset: str
+    episode: Episode
+    log: Path
+    labels: Path | None
+    label_format: str
+    mapping: Mapping
+    vocabulary: Vocabulary
+    definitions_root: Path
+    tick_rate_hz: float
+
+
+def jobs_of(opened: OpenDataset, store: Store, episodes: Sequence[Episode]) -> list[IngestJob]:
+    """One job for each of these episodes."""
+    return [
+        IngestJob(
+            store_root=store.root,
+            dataset=opened.dataset.name,
+            episode=episode,
+            log=opened.log_of(episode),
+            labels=opened.labels_of(episode),
+            label_format=opened.dataset.label_format,
+            mapping=opened.dataset.mapping,
+            vocabulary=opened.vocabulary,
+            definitions_root=opened.folder,
+            tick_rate_hz=opened.dataset.tick_rate_hz,
+        )
+        for episode in episodes
+    ]
+
+
+class _StaleError(Exception):
+    """A stage would have to run, and may not."""
+
+
+class EpisodeTables:
+    """The tables of one episode while its stages run: kept in memory, stored as they come."""
+
+    def __init__(self, store: Store, *, may_work: bool = True) -> None:
+        """Run stages over ``store``; without ``may_work``, only find what is there already."""
+        self.store = store
+        self.may_work = may_work
+        self._memory: dict[str, pl.DataFrame] = {}
+        self.contents: dict[str, str] = {}
+        self.keys: dict[str, str] = {}
+        self.notes: dict[str, str] = {}
+
+    def run(
+        self,
+        stage: str,
+        *,
+        modules: Sequence[str],
+        inputs: dict[str, str],
+        params: object,
+        make: Callable[[], dict[str, tuple[pl.DataFrame, type[dy.Schema]]]],
+    ) -> bool:
+        """Run a stage if its output is not there; say whether it was made anew."""
+        made: dict[str, pl.DataFrame] = {}
+
+        def work() -> StageOutput:
+            if not self.may_work:
+                raise _StaleError
+            tables = make()
+            made.update({name: table for name, (table, _) in tables.items()})
+            return StageOutput(tables=tables, notes=dict(self.notes))
+
+        record = self.store.run(stage, inputs, canonical_json(params), code_version(*modules), work)
+        self.contents |= record.outputs
+        self.keys[stage] = str(record.key)
+        self.notes |= record.notes
+        for name, table in made.items():
+            self._memory[record.outputs[name]] = table
+        return bool(made)
+
+    def get(self, name: str, schema: type[Table]) -> dy.DataFrame[Table]:
+        """A table of this episode, from memory if it was made just now."""
+        content = self.contents[name]
+        if content in self._memory:
+            return self._memory[content]  # type: ignore[return-value]
+        return self.store.get(content, schema)
+
+
+def _found(job: IngestJob) -> EpisodeState | None:
+    """What the store holds of an episode, if nothing of it is stale."""
+    try:
+        return ingest_episode(job, may_work=False)
+    except _StaleError:
+        return None
+
+
+def ingest_episode(job: IngestJob, *, may_work: bool = True) -> EpisodeState:
+    """Read, align and perceive one episode; a log that cannot be used is quarantined with its reason.
+
+    Args:
+        job: What to ingest.
+        may_work: Whether stages may run whose output is not there.
+
+    Returns:
+        What the store now holds of the episode. Nothing of the manifest is changed here.
+    """
+    store = Store(job.store_root)
+    tables = EpisodeTables(store, may_work=may_work)
+    episode = job.episode
+    state = EpisodeState(dataset=job.dataset, episode_id=episode.id)
+    sha256: str | None = None
+    try:
+        sha256 = str(fingerprint(job.log))
+        if episode.sha256 is not None and episode.sha256 != sha256:
+            raise LogError(
+                job.log,
+                f"its content is not what the manifest names: sha256 {sha256}, expected {episode.sha256}; "
+                "it was changed or damaged on the way",
+            )
+        _read(job, tables, sha256)
+        _align(job, tables)
+        _perceive(job, tables)
+        if job.labels is not None:
+            _labels(job, tables)
+        status, reason = tables.notes.get("status", "complete"), tables.notes.get("reason") or None
+    except StoreError:
+        raise
+    except (DemoplanError, pl.exceptions.PolarsError, dy.exc.ValidationError) as error:
+        status, reason = "quarantined", str(error)
+    extent = _extent(tables)
+    row = pl.DataFrame(
+        {
+            "episode_id": [episode.id],
+            "dataset": [job.dataset],
+            "file": [episode.file],
+            "sha256": [sha256],
+            "participant": [episode.participant],
+            "task": [episode.task],
+            "is_goal_reached": [episode.is_goal_reached],
+            "status": [status],
+            "reason": [reason],
+            "start_ns": [extent[0]],
+            "end_ns": [extent[1]],
+        },
+        schema_overrides={
+            "sha256": pl.String,
+            "is_goal_reached": pl.Boolean,
+            "reason": pl.String,
+            "start_ns": pl.Int64,
+            "end_ns": pl.Int64,
+        },
+    )
+    contents = tables.contents | {"episodes": str(store.objects.put(row, Episodes))}
+    return replace(state, tables=contents, keys=tables.keys, status=status, reason=reason)
+
+
+def _read(job: IngestJob, tables: EpisodeTables, sha256: str) -> None:
+    def make() -> dict[str, tuple[pl.DataFrame, type[dy.Schema]]]:
+        stream = open_log(job.log, job.mapping, job.episode.id, definitions_root=job.definitions_root)
+        batches = [*stream.batches()]
+        samples = pl.concat(batches) if batches else Samples.create_empty()
+        tables.notes |= {"status": stream.status, "reason": stream.reason or ""}
+        return {"samples": (samples, Samples), "topics": (stream.topics, Topics)}
+
+    tables.run(
+        "read",
+        modules=["demoplan.logs"],
+        inputs={"log": sha256},
+        params={"episode_id": job.episode.id, "mapping": job.mapping.model_dump(mode="json")},
+        make=make,
+    )
+
+
+def _align(job: IngestJob, tables: EpisodeTables) -> None:
+    params = AlignParams(tick_rate_hz=job.tick_rate_hz)
+    tables.run(
+        "align",
+        modules=["demoplan.stages.align"],
+        inputs={"samples": tables.contents["samples"]},
+        params={"params": asdict(params), "mapping": job.mapping.model_dump(mode="json")},
+        make=lambda: {"frames": (align(tables.get("samples", Samples), job.mapping, params), Frames)},
+    )
+
+
+def _perceive(job: IngestJob, tables: EpisodeTables) -> None:
+    params = PerceiveParams()
+    tables.run(
+        "perceive",
+        modules=["demoplan.stages.perceive"],
+        inputs={"frames": tables.contents["frames"]},
+        params={
+            "params": asdict(params),
+            "entities": {name: e.model_dump(mode="json") for name, e in job.mapping.entities.items()},
+            "vocabulary": asdict(job.vocabulary),
+        },
+        make=lambda: {
+            "facts": (
+                perceive(tables.get("frames", Frames), job.mapping.entities, job.vocabulary, params),
+                Facts,
+            )
+        },
+    )
+
+
+def _labels(job: IngestJob, tables: EpisodeTables) -> None:
+    """True activities: stored apart, for training and scoring only."""
+    assert job.labels is not None
+    try:
+        text = job.labels.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise DataError(f"{job.labels}: labels cannot be read: {error}") from None
+    tables.run(
+        "labels",
+        modules=["demoplan.manifests.labels"],
+        inputs={"labels": text, "samples": tables.contents["samples"]},
+        params={"format": job.label_format, "episode_id": job.episode.id},
+        make=lambda: {
+            "labels": (
+                activities_of_labels(
+                    json.loads(text), job.label_format, job.episode.id, tables.get("samples", Samples)
+                ),
+                Activities,
+            )
+        },
+    )
+
+
+def _extent(tables: EpisodeTables) -> tuple[int | None, int | None]:
+    if "frames" not in tables.contents:
+        return None, None
+    ticks = tables.get("frames", Frames)["tick_ns"]
+    return (int(ticks.min()), int(ticks.max())) if len(ticks) else (None, None)  # type: ignore[arg-type]
+
+
+def ingest(
+    jobs: Sequence[IngestJob], *, n_workers: int, on_done: Callable[[EpisodeState], None]
+) -> list[EpisodeState]:
+    """Ingest episodes on several processes, and write what became of each into the manifest as it ends.
+
+    A process that dies takes only its own episode with it: that one is quarantined, the others go on.
+    """
+    states = []
+    for state in _run(jobs, n_workers):
+        Store(jobs[0].store_root).manifest.update([state])
+        states.append(state)
+        on_done(state)
+    return sorted(states, key=lambda state: state.episode_id)
+
+
+def _run(jobs: Sequence[IngestJob], n_workers: int) -> Iterator[EpisodeState]:
+    # Finding that nothing is stale is quicker than starting a process.
+    waiting = []
+    for job in jobs:
+        state = _found(job)
+        if state is None:
+            waiting.append(job)
+        else:
+            yield state
+    if n_workers <= 1 or len(waiting) <= 1:
+        yield from map(ingest_episode, waiting)
+        return
+    while waiting:
+        # Never a fork: polars' thread pool does not survive one.
+        pool = ProcessPoolExecutor(n_workers, mp_context=multiprocessing.get_context("spawn"))
+        with pool:
+            futures: dict[Future[EpisodeState], IngestJob] = {
+                pool.submit(ingest_episode, job): job for job in waiting
+            }
+            broken = []
+            for future in as_completed(futures):
+                try:
+                    yield future.result()
+                    waiting.remove(futures[future])
+                except BrokenProcessPool:
+                    broken.append(futures[future])
+        if broken:
+            # Which job killed its process is not known: try each alone.
+            yield from map(_alone, broken)
+            waiting = []
+
+
+def _alone(job: IngestJob) -> EpisodeState:
+    with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
+        try:
+            return pool.submit(ingest_episode, job).result()
+        except BrokenProcessPool:
+            return EpisodeState(
+                dataset=job.dataset,
+                episode_id=job.episode.id,
+                status="quarantined",
+                reason=f"{job.log}: the process that read it died (out of memory?)",
+            )

@@ -1,0 +1,102 @@
+"""Transitions to domain versions, over the store."""
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+
+import dataframely as dy
+
+from demoplan.errors import UsageError
+from demoplan.ids import content_hash
+from demoplan.language.domains import Domain
+from demoplan.language.pddl import domain_id, parse_domain, render_domain
+from demoplan.language.vocabulary import Vocabulary
+from demoplan.pipeline.activities import tables_of
+from demoplan.stages.compose import compose
+from demoplan.stages.learn import LearnParams, learn
+from demoplan.store import DomainVersion, EpisodeState, Store
+from demoplan.store.code_version import code_version
+from demoplan.store.store import canonical_json
+from demoplan.tables import Evidence, Literals, Operators, Transitions
+
+
+@dataclass(frozen=True, kw_only=True)
+class Learned:
+    """A domain version with all that belongs to it."""
+
+    version: DomainVersion
+    domain: Domain
+    text: str
+    operators: dy.DataFrame[Operators]
+    literals: dy.DataFrame[Literals]
+    evidence: dy.DataFrame[Evidence]
+
+
+def learn_domain(
+    store: Store,
+    states: Sequence[EpisodeState],
+    vocabulary: Vocabulary,
+    *,
+    name: str,
+    dataset: str,
+    params: LearnParams = LearnParams(),
+) -> Learned:
+    """Learn operators from the transitions of some episodes, and add the domain as a version.
+
+    Raises:
+        UsageError: If none of the episodes has transitions.
+    """
+    chosen = sorted((s for s in states if "transitions" in s.tables), key=lambda s: s.episode_id)
+    if not chosen:
+        raise UsageError(f"{name}: none of {len(states)} episodes has activities to learn from")
+    transitions = tables_of(store, chosen, "transitions", Transitions)
+    predicates = [rule.signature for rule in vocabulary.predicates]
+    operators, literals, evidence = learn(transitions, vocabulary.types, predicates, params)
+    domain = compose(operators, literals, vocabulary.types, predicates, name)
+    text = render_domain(domain)
+    version = store.domains.put(
+        DomainVersion(
+            domain_id=domain_id(domain),
+            name=name,
+            parent=None,
+            dataset=dataset,
+            episodes=[state.episode_id for state in chosen],
+            snapshot=content_hash(*(f"{s.episode_id}={s.tables['transitions']}" for s in chosen)),
+            params=canonical_json(asdict(params)),
+            code_version=code_version("demoplan.stages.learn", "demoplan.stages.compose"),
+            n_operators=len(domain.operators),
+            tables={},
+        ),
+        text,
+        operators,
+        literals,
+        evidence,
+    )
+    return Learned(
+        version=version,
+        domain=domain,
+        text=text,
+        operators=operators,
+        literals=literals,
+        evidence=evidence,
+    )
+
+
+def stored_domain(store: Store, asked: str) -> Learned:
+    """A domain version by id, start of an id, or name."""
+    version = store.domains.find(asked)
+    text = store.domains.text(version)
+    operators, literals, evidence = store.domains.tables(version)
+    return Learned(
+        version=version,
+        domain=parse_domain(text),
+        text=text,
+        operators=operators,
+        literals=literals,
+        evidence=evidence,
+    )
+
+
+def latest_evidence(store: Store, name: str) -> dy.DataFrame[Evidence] | None:
+    """Which operator each activity matched, by the latest version of a domain; none if there is none."""
+    version = store.domains.latest(name)
+    return None if version is None else store.domains.tables(version)[2]

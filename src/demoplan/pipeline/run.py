@@ -1,0 +1,290 @@
+"""The main job: logs to activities, domains, plans, scores and a report."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import dataframely as dy
+import polars as pl
+
+import demoplan
+from demoplan.pipeline.activities import (
+    MAJORITY,
+    METHODS,
+    RULES,
+    ChosenSegmenter,
+    groups_of,
+    read_segmenter,
+    rules,
+    segment_episodes,
+    segmenters_for,
+    tables_of,
+    trained,
+    usable,
+)
+from demoplan.pipeline.datasets import OpenDataset, remember
+from demoplan.pipeline.ingest import ingest, jobs_of
+from demoplan.pipeline.learning import Learned
+from demoplan.pipeline.reporting import Progress, silent
+from demoplan.pipeline.study import COMBINED, Tried, learn_all, try_goals
+from demoplan.stages.score import confusion, majority_activities, score_segmentation
+from demoplan.stages.score_plans import score_plans
+from demoplan.stages.segment import Segmenter, TrainParams
+from demoplan.store import EpisodeState, Store
+from demoplan.store.atomic import write_bytes
+from demoplan.tables import Activities, Confusions, Episodes, Plans, Scores, Topics
+from demoplan.viewers.report import Confusion, DomainText, Failure, Reference, ReportContent, render_report
+
+FRESH = "fresh "
+"""Put before the groups of trials of people who are not part of the dataset."""
+
+FRESH_SUITE = ", fresh participants"
+"""Put behind the suites of scores of people who are not part of the dataset."""
+
+REFERENCES = (
+    Reference(
+        suite="segmentation",
+        metric="frame accuracy",
+        value=0.874,
+        source="Ramirez-Amaro, Beetz, Cheng, AIJ 2017",
+    ),
+    Reference(
+        suite="planning",
+        metric="domains that solve every goal",
+        value=11 / 12,
+        source="Diehl & Ramirez-Amaro, work-in-progress paper: 11 of 12",
+    ),
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunResult:
+    """What the main job made."""
+
+    states: tuple[EpisodeState, ...]
+    learned: dict[str, Learned]
+    tried: tuple[Tried, ...]
+    scores: dy.DataFrame[Scores]
+    confusions: dy.DataFrame[Confusions]
+    method: str
+    report: Path
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Part:
+    """What was made of one dataset."""
+
+    opened: OpenDataset
+    states: tuple[EpisodeState, ...]
+    segmenters: dict[str, ChosenSegmenter]
+    learned: dict[str, Learned]
+    tried: tuple[Tried, ...]
+
+    @property
+    def method(self) -> str:
+        return next(iter(self.segmenters.values())).method
+
+
+def run(
+    opened: OpenDataset,
+    store: Store,
+    *,
+    segmenter: str = "auto",
+    n_workers: int = 1,
+    progress: Progress = silent,
+    fresh: OpenDataset | None = None,
+) -> RunResult:
+    """Do everything for a dataset; what is up to date is not done again.
+
+    Args:
+        opened: The dataset.
+        store: Where everything is kept.
+        segmenter: ``auto``, ``rules``, a training method, or a segmenter's file. An episode is never
+            segmented by what was trained on its own participant.
+        n_workers: Processes for ingesting, and planners at once.
+        progress: How to say how far it is.
+        fresh: A dataset of other people, in no way part of the first, to try the same on. Their activities
+            are found by a segmenter trained on the first dataset only.
+
+    Raises:
+        UsageError: If nothing of the dataset can be used.
+    """
+
+    def choose(states: Sequence[EpisodeState]) -> dict[str, ChosenSegmenter]:
+        if Path(segmenter).is_file():
+            chosen = read_segmenter(Path(segmenter))
+            return {state.episode_id: chosen for state in usable(states)}
+        return segmenters_for(opened, store, states, segmenter)
+
+    main = _work(opened, store, choose, n_workers, progress)
+    scores, confusions = _score_activities(main, store)
+    parts = [main]
+    if fresh is not None:
+        outside = _for_others(opened, store, main)
+        part = _work(
+            fresh, store, lambda states: {s.episode_id: outside for s in usable(states)}, n_workers, progress
+        )
+        fresh_scores, _ = _score_activities(part, store)
+        scores = _joined(scores, fresh_scores.with_columns(pl.col("suite") + FRESH_SUITE))
+        parts.append(part)
+    trials = [
+        replace(tried.trial, group=(FRESH if part is not main else "") + tried.trial.group)
+        for part in parts
+        for tried in part.tried
+    ]
+    scores = _joined(scores, score_plans(trials, main.method))
+    path = store.root / "reports" / f"{opened.dataset.name}.html"
+    write_bytes(path, _report(main, parts, store, scores, confusions).encode())
+    return RunResult(
+        states=tuple(state for part in parts for state in part.states),
+        learned=main.learned,
+        tried=tuple(tried for part in parts for tried in part.tried),
+        scores=scores,
+        confusions=confusions,
+        method=main.method,
+        report=path,
+    )
+
+
+def _work(
+    opened: OpenDataset,
+    store: Store,
+    choose: Callable[[Sequence[EpisodeState]], dict[str, ChosenSegmenter]],
+    n_workers: int,
+    progress: Progress,
+) -> _Part:
+    """Ingest, segment, learn and plan, for one dataset."""
+    remember(opened, store)
+    name = opened.dataset.name
+    jobs = jobs_of(opened, store, opened.dataset.episodes)
+    with progress(f"{name}: read, align, perceive", len(jobs)) as done:
+        states = ingest(jobs, n_workers=n_workers, on_done=lambda s: done(f"{s.episode_id} {s.status}"))
+    with progress(f"{name}: segment", len(states)) as done:
+        segmenters = choose(states)
+        states = segment_episodes(
+            opened, store, states, segmenters, on_done=lambda state: done(state.episode_id)
+        )
+    with progress(f"{name}: learn", len(usable(states)) + 1) as done:
+        learned = learn_all(opened, store, states, on_done=done)
+    with progress(f"{name}: plan", len(learned) * len(opened.dataset.goals)) as done:
+        tried = try_goals(opened, store, learned, n_workers=n_workers, on_done=done)
+    return _Part(
+        opened=opened,
+        states=tuple(states),
+        segmenters=segmenters,
+        learned=learned,
+        tried=tuple(tried),
+    )
+
+
+def _for_others(opened: OpenDataset, store: Store, main: _Part) -> ChosenSegmenter:
+    """The segmenter for people who are not part of a dataset: trained on all of it, by the same method."""
+    one = next(iter(main.segmenters.values()))
+    if not isinstance(one.segmenter, Segmenter) or one.method not in METHODS:
+        return one
+    params = TrainParams(method=one.method)  # type: ignore[arg-type]
+    return trained(opened, store, main.states, params)
+
+
+def _joined(*scores: pl.DataFrame) -> dy.DataFrame[Scores]:
+    return Scores.validate(pl.concat(scores))
+
+
+def _score_activities(part: _Part, store: Store) -> tuple[dy.DataFrame[Scores], dy.DataFrame[Confusions]]:
+    """What was inferred against what is true, beside the published rules and the naive alternative."""
+    labelled = [s for s in part.states if "labels" in s.tables and "activities" in s.tables]
+    if not labelled:
+        return Scores.create_empty(), Confusions.create_empty()
+    truth = tables_of(store, labelled, "labels", Activities)
+    found = {part.method: tables_of(store, labelled, "activities", Activities)}
+    if part.method != RULES:
+        by_rules = segment_episodes(
+            part.opened, store, labelled, {s.episode_id: rules() for s in labelled}, is_kept=False
+        )
+        found[RULES] = tables_of(store, by_rules, "activities", Activities)
+    found[MAJORITY] = majority_activities(truth)
+    groups = groups_of(part.opened)
+    return (
+        _joined(*(score_segmentation(found[m], truth, m, groups=groups) for m in sorted(found))),
+        confusion(found[part.method], truth, part.method),
+    )
+
+
+def _report(
+    main: _Part,
+    parts: Sequence[_Part],
+    store: Store,
+    scores: dy.DataFrame[Scores],
+    confusions: dy.DataFrame[Confusions],
+) -> str:
+    """The page that a person reads, from the tables."""
+    states = main.states
+    combined = main.learned[COMBINED]
+    plans = [tried.plans for tried in main.tried]
+    goals = {tried.plans.item(0, "goal"): tried.goal.name for tried in main.tried if tried.plans.height}
+    names = {learned.version.domain_id: name for name, learned in main.learned.items()}
+    failures = [
+        Failure(kind="plan", subject=f"{t.trial.domain}: {t.trial.goal}", cause=t.trial.cause)
+        for part in parts
+        for t in part.tried
+        if t.trial.cause is not None
+    ]
+    return render_report(
+        ReportContent(
+            dataset=main.opened.dataset.name,
+            description=main.opened.dataset.description,
+            episodes=tables_of(store, states, "episodes", Episodes),
+            versions=(
+                ("demoplan", demoplan.__version__),
+                ("dataset snapshot", combined.version.snapshot[:16]),
+                ("domain", combined.version.domain_id),
+                ("code of learning", combined.version.code_version),
+            ),
+            topics=tables_of(store, states, "topics", Topics),
+            activities=tables_of(store, states, "activities", Activities),
+            truth=tables_of(store, states, "labels", Activities),
+            scores=scores,
+            methods=(main.method,),
+            references=REFERENCES,
+            confusions=_matrices(confusions),
+            operators=combined.operators,
+            literals=combined.literals,
+            evidence=combined.evidence,
+            domains=tuple(
+                DomainText(
+                    domain_id=domain_id,
+                    name=name,
+                    text=main.learned[name].text if name == COMBINED else "",
+                    n_operators=len(main.learned[name].domain.operators),
+                    is_main=name == COMBINED,
+                )
+                for domain_id, name in names.items()
+            ),
+            plans=Plans.validate(
+                pl.concat(plans).unique(Plans.primary_key(), keep="first", maintain_order=True)
+            )
+            if plans
+            else None,
+            goals=tuple(goals.items()),
+            failures=tuple(failures),
+        )
+    )
+
+
+def _matrices(confusions: dy.DataFrame[Confusions]) -> tuple[Confusion, ...]:
+    """The overall confusion of each method, in milliseconds of time."""
+    matrices = []
+    for (method,), rows in confusions.filter(pl.col("subject") == "all").group_by(
+        "method", maintain_order=True
+    ):
+        labels = tuple(sorted(set(rows["truth"]) | set(rows["predicted"])))
+        spent = {(t, p): d for t, p, d in rows.select("truth", "predicted", "duration_ns").iter_rows()}
+        matrices.append(
+            Confusion(
+                method=str(method),
+                labels=labels,
+                counts=tuple(tuple(round(spent.get((t, p), 0) / 1e6) for p in labels) for t in labels),
+                unit="milliseconds",
+            )
+        )
+    return tuple(matrices)
