@@ -1,6 +1,8 @@
 """Fast Downward, run as separate programs and never imported: it is GPL, and we are not."""
 
+from demoplan.engines.fast_downward.diagnosing import diagnose
 from demoplan.engines.fast_downward.installation import Installation, find_installation
+from demoplan.engines.fast_downward.laddering import solve_widening
 from demoplan.engines.fast_downward.searches import FIRST, OPTIMAL, Search
 from demoplan.engines.fast_downward.solve import (
     Attempt,
@@ -19,8 +21,10 @@ __all__ = [
     "Search",
     "SolveParams",
     "TextAnswer",
+    "diagnose",
     "find_installation",
     "plan_rows",
     "solve",
     "solve_text",
+    "solve_widening",
 ]

@@ -50,7 +50,7 @@ class SolveParams:
     """Wall-clock time for everything [s]."""
     memory_bytes: int = 2 * 1024**3
     """Address space of each program."""
-    max_operators_for_optimal: int = 2_000
+    max_operators_for_optimal: int = 400
     """Up to this many ground operators the cheapest plan is looked for first; beyond, any plan."""
     optimal_share: float = 0.3
     """Share of the time that looking for the cheapest plan may take before any plan will do."""

@@ -2,9 +2,9 @@
 
 PDDL is not case-sensitive, and its readers disagree about what a name may hold. So every name of a domain and
 a problem is mapped to one of the form ``[a-z][a-z0-9_-]*``: ``inHand`` becomes ``in_hand``, ``Right_hand``
-becomes ``right_hand``. Names that have this form already stay as they are, so that domains made elsewhere keep
-theirs; a name that has to change never takes a form that is in use. The map depends on the set of names only,
-and can be read backwards.
+becomes ``right_hand``. Names that have this form already stay as they are, so that domains made elsewhere
+keep theirs; a name that has to change never takes a form that is in use. The map depends on the set of names
+only, and can be read backwards.
 """
 
 import re
@@ -51,9 +51,10 @@ def slug(name: str) -> str:
 
 @dataclass(frozen=True)
 class SymbolMap:
-    """A map from (kind, name) to PDDL name, which leads back to the name; ``entries`` holds (kind, name, PDDL name), sorted.
+    """A map from (kind, name) to PDDL name, and back to the name.
 
-    Kinds are ``domain``, ``type``, ``predicate``, ``operator``, ``object``, ``problem`` and ``variable``.
+    ``entries`` holds (kind, name, PDDL name), sorted. Kinds are ``domain``, ``type``, ``predicate``,
+    ``operator``, ``object``, ``problem`` and ``variable``.
     """
 
     entries: tuple[tuple[str, str, str], ...]
