@@ -5,7 +5,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from demoplan.stages.segment.decoding import Grammar, grammar_of, runs_of, viterbi, without_short_runs
+from demoplan.stages.segment.decoding import (
+    Grammar,
+    decoded,
+    grammar_of,
+    runs_of,
+    viterbi,
+    without_short_runs,
+)
 
 
 def textbook_viterbi(log_probability, initial, change):
@@ -45,6 +52,19 @@ def test_decoding_in_blocks_finds_the_course_that_the_textbook_finds(n, k):
     grammar = random_grammar(rng, k)
     fast, slow = viterbi(evidence, *grammar), textbook_viterbi(evidence, *grammar)
     np.testing.assert_array_equal(fast, slow)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_deciding_stretches_as_a_whole_loses_nothing(seed):
+    # Evidence as a single tree gives it: constant for a while, then another leaf.
+    rng = np.random.default_rng(seed)
+    lengths = rng.integers(1, 40, size=30)
+    evidence = np.repeat(np.log(rng.dirichlet(np.ones(5), size=30)), lengths, axis=0) * 0.2
+    evidence += np.linspace(0, 1e-3, len(evidence))[:, None]
+    grammar = random_grammar(rng, 5)
+    whole, by_tick = decoded(evidence, *grammar), viterbi(evidence, *grammar)
+    assert len(whole) == len(evidence)
+    assert worth(whole, evidence, *grammar) == pytest.approx(worth(by_tick, evidence, *grammar))
 
 
 @settings(max_examples=30, deadline=None)

@@ -100,6 +100,12 @@ def test_no_frames_give_no_activities(demonstrate):
     assert found.schema == Activities.create_empty().schema
 
 
+def test_a_recording_without_hands_gives_no_activities(demonstrate):
+    d = demonstrate()
+    frames = Frames.cast(d.frames.filter(~pl.col("entity").str.ends_with("hand")))
+    assert segment(frames, Facts.create_empty(), d.entities, d.types).height == 0
+
+
 def test_the_order_of_rows_does_not_matter(demonstrate, together):
     d = together(demonstrate("a"), demonstrate("b", seed=4))
     shuffled = Frames.cast(d.frames.sample(fraction=1.0, shuffle=True, seed=1))

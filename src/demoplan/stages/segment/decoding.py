@@ -59,6 +59,30 @@ def grammar_of(
     )
 
 
+def decoded(log_probability: Array, initial: Array, change: Array) -> NDArray[np.int64]:
+    """The likeliest sequence, found over stretches of ticks that rank all classes alike.
+
+    Where each pair of classes keeps its order, moving a change of class to one end of the stretch never
+    costs anything: stretches can be decided as a whole. Long quiet recordings shrink to few stretches.
+
+    Args:
+        log_probability: Evidence ``(t, k)``, finite.
+        initial: Log-probability of beginning with each class ``(k,)``.
+        change: Log-probability of changing from row to column ``(k, k)``.
+
+    Returns:
+        Classes ``(t,)``.
+    """
+    n_ticks = len(log_probability)
+    if n_ticks < 2:
+        return viterbi(log_probability, initial, change)
+    ranking = np.argsort(log_probability, axis=1, kind="stable")
+    is_new = np.append(True, (ranking[1:] != ranking[:-1]).any(axis=1))
+    starts = np.flatnonzero(is_new)
+    summed = np.add.reduceat(log_probability, starts, axis=0)
+    return np.repeat(viterbi(summed, initial, change), np.diff(starts, append=n_ticks))
+
+
 def viterbi(log_probability: Array, initial: Array, change: Array) -> NDArray[np.int64]:
     """The sequence of classes that maximises evidence plus grammar, exactly.
 

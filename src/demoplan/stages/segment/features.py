@@ -5,6 +5,7 @@ hand; never of places in the room, names of instances or left and right. So a se
 one person, with one layout and one rig, has a chance with the next. Time enters in seconds, not in ticks.
 """
 
+from collections.abc import Collection
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -40,26 +41,35 @@ class Features:
     values: NDArray[np.float32]
 
 
-def features_of(tracks: Tracks, params: FeatureParams = FeatureParams()) -> Features:
+def features_of(
+    tracks: Tracks, params: FeatureParams = FeatureParams(), only: Collection[str] | None = None
+) -> Features:
     """Every feature of every hand at every tick of one episode.
 
     Args:
         tracks: The episode's arrays.
         params: Windows and thresholds.
+        only: Features that are asked for; the others are left zero, which saves their time. Null: all.
 
     Returns:
         Values ``(h, t, f)``; finite whatever the episode lacks (objects, a second hand, a grip signal).
     """
     base = _signals(tracks, params)
-    columns = dict(base)
-    for name in _WITH_CONTEXT:
-        for window_s in params.context_s:
-            columns[f"{name}.past_{window_s:g}s"] = windows.past_mean(base[name], window_s, tracks.tick_s)
-            columns[f"{name}.future_{window_s:g}s"] = windows.future_mean(base[name], window_s, tracks.tick_s)
-    values = np.empty((len(tracks.hands), len(tracks.tick_ns), len(columns)), dtype=np.float32)
-    for index, column in enumerate(columns.values()):
-        values[:, :, index] = column
-    return Features(tuple(columns), values)
+    context = [
+        (f"{name}.{side}_{window_s:g}s", mean, name, window_s)
+        for name in _WITH_CONTEXT
+        for window_s in params.context_s
+        for side, mean in (("past", windows.past_mean), ("future", windows.future_mean))
+    ]
+    names = (*base, *(name for name, *_ in context))
+    # Feature by feature in memory, since each is written, and read by a tree, as a whole.
+    values = np.zeros((len(names), len(tracks.hands), len(tracks.tick_ns)), dtype=np.float32)
+    for index, signal in enumerate(base.values()):
+        values[index] = signal
+    for index, (name, mean, source, window_s) in enumerate(context, start=len(base)):
+        if only is None or name in only:
+            values[index] = mean(base[source], window_s, tracks.tick_s)
+    return Features(names, np.moveaxis(values, 0, -1))
 
 
 _WITH_CONTEXT = (
@@ -167,13 +177,12 @@ def _signals(tracks: Tracks, params: FeatureParams) -> dict[str, Array]:
         theirs = np.take_along_axis(signals[name], other, axis=0) if n_hands > 1 else np.zeros_like(speed)
         signals[f"other_{name.removeprefix('hand_')}"] = theirs
     signals["other_distance"] = _distance_to_other(hands_m, other)
+    signals["nearest_to_other_partner"] = np.full((n_hands, length), _FAR_M)
     if things.n and n_hands > 1:
-        theirs_m = things.positions_at(np.take_along_axis(partner, other, axis=0))
+        partner_of_other = np.take_along_axis(partner, other, axis=0)
         signals["nearest_to_other_partner"] = np.where(
-            signals["other_is_holding"] > 0, _norm(things.positions_at(nearest) - theirs_m), _FAR_M
+            signals["other_is_holding"] > 0, things.between(nearest, partner_of_other), _FAR_M
         )
-    else:
-        signals["nearest_to_other_partner"] = np.full((n_hands, length), _FAR_M)
     return signals
 
 
@@ -181,7 +190,8 @@ def _signals(tracks: Tracks, params: FeatureParams) -> dict[str, Array]:
 class _Things:
     """Signals of objects ``(o, t)`` and of hand-object pairs ``(h, o, t)``."""
 
-    position_m: Array
+    apart_squared: Array
+    """Squared distances of objects ``(o, o, t)``."""
     distance: Array
     excess: Array
     """Distance beyond the pair's smallest in this episode: markers sit elsewhere on every hand."""
@@ -208,7 +218,7 @@ class _Things:
     @property
     def n(self) -> int:
         """Number of objects."""
-        return len(self.position_m)
+        return len(self.speed)
 
     def of_hand(self, pair: Array, index: NDArray[np.int64], default: float) -> Array:
         """Values of a pair signal for one object per hand and tick ``(h, t)``."""
@@ -222,9 +232,10 @@ class _Things:
             return np.zeros(index.shape)
         return np.take_along_axis(signal, index, axis=0)
 
-    def positions_at(self, index: NDArray[np.int64]) -> Array:
-        """Positions of one object per hand and tick ``(h, t, 3)``."""
-        return self.position_m[index, np.arange(index.shape[1])]
+    def between(self, one: NDArray[np.int64], other: NDArray[np.int64]) -> Array:
+        """Distances of two objects per hand and tick ``(h, t)``."""
+        distance: Array = np.sqrt(self.apart_squared[one, other, np.arange(one.shape[1])])
+        return distance
 
     @classmethod
     def of(cls, tracks: Tracks, params: FeatureParams) -> "_Things":
@@ -232,13 +243,14 @@ class _Things:
         tick_s = tracks.tick_s
         position = tracks.object_position_m
         distance = _norm(tracks.hand_position_m[:, None] - position[None])
-        velocity = velocities(position, tick_s, params.velocity_window_s)
+        # A recording without objects has nothing to fit.
+        velocity = velocities(position, tick_s, params.velocity_window_s) if len(position) else position
         speed = _norm(velocity)
         net = _norm(windows.difference(position, 1.0, tick_s, axis=1))
         tilt = _tilt(tracks.object_orientation)
-        gap, flat_gap = _gaps(position)
+        apart_squared, gap, flat_gap = _gaps(position)
         return cls(
-            position_m=position,
+            apart_squared=apart_squared,
             distance=distance,
             excess=distance - distance.min(axis=2, keepdims=True),
             closing=-windows.difference(distance, params.trend_window_s, tick_s),
@@ -307,17 +319,18 @@ def _spin(orientation: Array, window_s: float, tick_s: float) -> Array:
     return np.asarray(angle / (np.maximum(later - earlier, 1) * tick_s))
 
 
-def _gaps(position_m: Array) -> tuple[Array, Array]:
-    """Distance of each object to the nearest other one: in space, and horizontally ``(o, t)``."""
+def _gaps(position_m: Array) -> tuple[Array, Array, Array]:
+    """Squared distances ``(o, o, t)``; distance to the nearest other, in space and horizontally ``(o, t)``."""
     n, length = position_m.shape[:2]
+    x, y, z = np.moveaxis(position_m, -1, 0)
+    flat = (x[:, None] - x[None]) ** 2 + (y[:, None] - y[None]) ** 2
+    apart = flat + (z[:, None] - z[None]) ** 2
     if n < 2:
-        return np.full((n, length), _FAR_M), np.full((n, length), _FAR_M)
-    apart = position_m[:, None] - position_m[None]
-    flat_squared = apart[..., 0] ** 2 + apart[..., 1] ** 2
-    squared = flat_squared + apart[..., 2] ** 2
+        return apart, np.full((n, length), _FAR_M), np.full((n, length), _FAR_M)
+    others = apart + np.where(np.eye(n, dtype=np.bool_), np.inf, 0.0)[..., None]
     itself = np.arange(n)
-    squared[itself, itself] = flat_squared[itself, itself] = np.inf
-    return np.sqrt(squared.min(axis=1)), np.sqrt(flat_squared.min(axis=1))
+    flat[itself, itself] = np.inf
+    return apart, np.sqrt(others.min(axis=1)), np.sqrt(flat.min(axis=1))
 
 
 def _nearest_other_hand(hands_m: Array) -> NDArray[np.int64]:

@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import asdict, dataclass, fields
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -36,6 +37,11 @@ class Segmenter:
     """Options of the fit, sorted by name, as text."""
     versions: tuple[tuple[str, str], ...]
     """Versions of what fitted it, sorted by name."""
+
+    @cached_property
+    def features_used(self) -> frozenset[str]:
+        """Features that some tree asks about; the others need not be computed."""
+        return frozenset(self.feature_names[index] for index in np.unique(self.trees.feature) if index >= 0)
 
     @property
     def segmenter_id(self) -> str:

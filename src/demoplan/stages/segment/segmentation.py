@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from demoplan.errors import DataError
 from demoplan.geometry import Array
 from demoplan.language.types import TypeHierarchy
-from demoplan.stages.segment.decoding import runs_of, viterbi, without_short_runs
+from demoplan.stages.segment.decoding import decoded, runs_of, without_short_runs
 from demoplan.stages.segment.features import features_of
 from demoplan.stages.segment.model import Segmenter
 from demoplan.stages.segment.rules import PUBLISHED_RULES, RuleTree, classify_by_rules
@@ -68,6 +68,8 @@ def segment(
     """
     found = []
     for tracks in tracks_of(frames, facts, roles_of(entities, types), params.motion):
+        if not tracks.hands:
+            continue
         if isinstance(segmenter, RuleTree):
             names, classes = classify_by_rules(tracks, segmenter, entities, types)
             evidence: Array | None = None
@@ -90,7 +92,7 @@ def classify_by_model(
     Raises:
         DataError: If the segmenter was trained on features that this version does not compute.
     """
-    features = features_of(tracks, segmenter.feature_params)
+    features = features_of(tracks, segmenter.feature_params, segmenter.features_used)
     if features.names != segmenter.feature_names:
         missing = sorted(set(segmenter.feature_names) - set(features.names))
         raise DataError(
@@ -106,7 +108,7 @@ def classify_by_model(
     weight = min(1.0, tracks.tick_s / params.evidence_s)
     grammar = segmenter.grammar
     change = grammar.costs(params.evidence_s)
-    classes = [viterbi(evidence[hand] * weight, grammar.initial, change) for hand in range(n_hands)]
+    classes = [decoded(evidence[hand] * weight, grammar.initial, change) for hand in range(n_hands)]
     return np.asarray(classes).reshape(n_hands, length), evidence
 
 

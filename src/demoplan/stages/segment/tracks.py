@@ -6,6 +6,7 @@ shape ``(entity, tick, …)`` on one uniform clock, and the intervals of its fac
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import dataframely as dy
 import numpy as np
@@ -51,7 +52,7 @@ class Tracks:
     acted_on: Mask
     """Whether hand h acts on object or surface o ``(h, o + s, t)``, as facts say."""
 
-    @property
+    @cached_property
     def tick_s(self) -> float:
         """Period of the clock [s]."""
         return _period_s(self.tick_ns)
@@ -167,6 +168,8 @@ def _tracks(
 
 def moving(hand_position_m: Array, tick_s: float, params: TrackParams) -> Mask:
     """Whether each hand moves ``(h, t)``: speed with hysteresis."""
+    if not len(hand_position_m):
+        return np.zeros(hand_position_m.shape[:2], dtype=np.bool_)
     speed = speeds(hand_position_m, tick_s, params.velocity_window_s)
     return hysteresis(speed > params.moving_enter_m_per_s, speed >= params.moving_leave_m_per_s)
 

@@ -48,14 +48,17 @@ def centred_mean(values: Array, window_s: float, tick_s: float) -> Array:
 
 
 def _mean(values: Array, before: int, after: int) -> Array:
+    """Mean from ``before`` ticks ago to ``after`` ticks ahead; shorter at the ends."""
     length = values.shape[-1]
-    total = np.zeros((*values.shape[:-1], length + 1))
-    np.cumsum(values, axis=-1, out=total[..., 1:])
-    ticks = np.arange(length)
-    first = np.maximum(ticks - before, 0)
-    last = np.minimum(ticks + after + 1, length)
-    mean: Array = (total[..., last] - total[..., first]) / (last - first)
-    return mean
+    before, after = min(before, length - 1), min(after, length - 1)
+    # Cumulative sums with their ends repeated: a window that sticks out takes what is there.
+    total = np.zeros((*values.shape[:-1], before + length + after + 1))
+    np.cumsum(values, axis=-1, out=total[..., before + 1 : before + 1 + length])
+    total[..., before + 1 + length :] = total[..., before + length, None]
+    n = np.full(length, before + after + 1)
+    n[:before] -= np.arange(before, 0, -1)
+    n[length - after :] -= np.arange(1, after + 1)
+    return np.asarray((total[..., before + after + 1 :] - total[..., :length]) / n)
 
 
 def last_true(mask: Mask) -> NDArray[np.int64]:
