@@ -133,8 +133,10 @@ class Relevance:
 
     is_effect: Callable[[LiftedAtom], bool]
     """Whether an atom's change may be an effect."""
-    is_switch: Callable[[LiftedAtom], bool]
-    """Whether an atom is a state of the hand by which activities follow each other."""
+    is_link: Callable[[LiftedAtom], bool]
+    """Whether an atom is a state of the hand by which activities follow each other: what one brings about, the
+    next takes away. Such atoms change at the ends of activities, which are never exact, so that exceptions
+    are many; the majority decides."""
     is_condition: Callable[[LiftedAtom, bool, bool], bool]
     """Whether a literal (atom, is_positive, is_changed) may be a precondition."""
 
@@ -200,6 +202,8 @@ def weigh(
     return replace(draft, preconditions=tuple(conditions), effects=tuple(effects))
 
 
+_LINK = "kept by majority against the count: it links activities, whose ends are never exact"
+
 Cells = Counter[tuple[bool | None, bool | None]]
 """Transitions by an atom's value (null: not observed) before and after."""
 
@@ -232,6 +236,10 @@ def _effect(
     against = sum(count for (_, after), count in cells.items() if after is not value and after is not None)
     probability = is_caused(changes, noise)
     is_kept = probability >= params.min_probability
+    note = None if is_kept else "counts speak for chance or for no change"
+    is_usual = support > against and changes.became_true > changes.kept_false
+    if not is_kept and is_usual and relevance.is_link(atom):
+        is_kept, note = True, _LINK
     return Candidate(
         atom=atom,
         is_positive=value,
@@ -239,7 +247,7 @@ def _effect(
         n_against=against,
         probability=probability,
         is_kept=is_kept,
-        note=None if is_kept else "counts speak for chance or for no change",
+        note=note,
     )
 
 
@@ -269,9 +277,9 @@ def _condition(
     probability = is_required(support, against, noise)
     is_kept = probability >= params.min_probability
     note = None if is_kept else "holds too irregularly to be a condition"
-    if is_changed and relevance.is_switch(atom):
+    if is_changed and support > against and relevance.is_link(atom):
         # A hand goes from one state to the next: without the former, steps could be done in advance.
-        is_kept, note = True, None if is_kept else "kept against the count: it orders activities"
+        is_kept, note = True, None if is_kept else _LINK
     elif is_changed and is_kept and not value:
         # The operator makes it true whatever was before: asking for its absence would only forbid plans.
         is_kept, note = False, "the operator itself makes the opposite true"

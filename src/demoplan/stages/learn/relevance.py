@@ -33,11 +33,11 @@ def _never_a_negation(_atom: LiftedAtom, is_positive: bool, is_changed: bool) ->
 
 
 LOGGED = Relevance(
-    is_effect=_is_effect, is_switch=lambda atom: atom.variables == (HAND,), is_condition=_is_condition
+    is_effect=_is_effect,
+    is_link=lambda atom: HAND in atom.variables and set(atom.variables) <= {HAND, OBJECT},
+    is_condition=_is_condition,
 )
 """For logs, in which roles are bound by what the hand does."""
 
-TRACED = Relevance(
-    is_effect=lambda _atom: True, is_switch=lambda _atom: False, is_condition=_never_a_negation
-)
+TRACED = Relevance(is_effect=lambda _atom: True, is_link=lambda _atom: False, is_condition=_never_a_negation)
 """For symbolic traces, whose actions name all the objects that matter."""
