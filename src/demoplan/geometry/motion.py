@@ -36,7 +36,9 @@ def velocities(positions_xyz_m: Array, tick_s: float, window_s: float) -> Array:
     n_seen: Array = is_seen.sum(axis=-2, keepdims=True).astype(np.float64)
     middle: Array = filled.sum(axis=-2, keepdims=True) / np.maximum(n_seen, 1.0)
     filled = np.where(is_seen, positions_xyz_m - middle, 0.0)
-    seen: Array = is_seen.astype(np.float64)
+    # Where nothing is missing, one mask serves all points.
+    mask = is_seen.reshape(-1, *is_seen.shape[-2:])[0] if is_seen.all() else is_seen
+    seen: Array = mask.astype(np.float64)
 
     def windowed(values: Array, weights: Array) -> Array:
         return np.asarray(correlate1d(values, weights, axis=-2, mode="constant", cval=0.0))

@@ -64,7 +64,7 @@ class Solid:
         if np.any(centre_xyz_m):
             middle = positions_xyz_m + rotate(turned, np.broadcast_to(centre_xyz_m, positions_xyz_m.shape))
         half = np.zeros(3) if kind == "point" else np.asarray(size_xyz_m, np.float64) / 2.0
-        return cls(kind, half, middle, matrices(turned))
+        return cls(kind, half, np.asfortranarray(middle), matrices(turned))
 
     @property
     def radius_m(self) -> float:
@@ -77,7 +77,10 @@ class Solid:
 
     def take(self, rows: NDArray[np.intp]) -> "Solid":
         """The same solid, at some of its poses only."""
-        return Solid(self.kind, self.half_xyz_m, self.position_xyz_m[rows], self.rotation[rows])
+        # Along the last axis of the transposed arrays, so that entries stay together in memory.
+        position = self.position_xyz_m.T[:, rows].T
+        rotation = np.moveaxis(np.moveaxis(self.rotation, 0, -1)[..., rows], -1, 0)
+        return Solid(self.kind, self.half_xyz_m, position, rotation)
 
 
 def surface_distances(a: Solid, b: Solid, exact_below_m: float = np.inf) -> Array:
@@ -167,7 +170,7 @@ def top_beneath(support: Solid, points_xyz_m: Array, margin_m: float = 0.0) -> A
         top = support.position_xyz_m[:, 2] + np.sqrt(np.maximum(half[0] ** 2 - aside**2, 0.0))
         return np.where(aside <= half[0] + margin_m, top, np.nan)
     # Line o + t·u in the body's axes; it is inside a slab for t between the two crossings of its faces.
-    origin = np.einsum("nji,nj->ni", support.rotation, away)
+    origin = _turned_back(support.rotation, away)
     upward = support.rotation[:, 2, :]
     slope = np.where(np.abs(upward) < 1e-9, 1e-9, upward)
     first = (-half - margin_m - origin) / slope
@@ -184,8 +187,20 @@ def top_beneath(support: Solid, points_xyz_m: Array, margin_m: float = 0.0) -> A
 
 def _in_body(solid: Solid, points_xyz_m: Array) -> Array:
     """Points ``(n, …, 3)`` in the solid's own axes, about its middle."""
+    if points_xyz_m.ndim == 2:
+        away = points_xyz_m - solid.position_xyz_m
+        return _turned_back(solid.rotation, away)
     middle = solid.position_xyz_m.reshape(-1, *(1,) * (points_xyz_m.ndim - 2), 3)
     return np.asarray(np.einsum("nji,n...j->n...i", solid.rotation, points_xyz_m - middle))
+
+
+def _turned_back(rotation: Array, vectors: Array) -> Array:
+    """World vectors ``(n, 3)`` in a body's axes; entry by entry is faster than products of small matrices."""
+    x, y, z = vectors[:, 0], vectors[:, 1], vectors[:, 2]
+    result = np.empty((3, len(vectors)))
+    for axis in range(3):
+        result[axis] = rotation[:, 0, axis] * x + rotation[:, 1, axis] * y + rotation[:, 2, axis] * z
+    return result.T
 
 
 def _in_world(solid: Solid, points_in_body_m: Array) -> Array:
@@ -213,24 +228,32 @@ def _point_to(solid: Solid, points_xyz_m: Array) -> Array:
 
 def _box_to_box(a: Solid, b: Solid, exact_below_m: float) -> Array:
     """Largest gap over the separating axes, and over the line from the nearest corner where that may win."""
-    turn = np.einsum("nji,njk->nik", a.rotation, b.rotation)
-    apart = _in_body(a, b.position_xyz_m)
-    spread = np.abs(turn)
-    gaps = np.abs(apart) - a.half_xyz_m - spread @ b.half_xyz_m
-    largest: Array = gaps.max(axis=1)
-    gaps = np.abs(np.einsum("nij,ni->nj", turn, apart)) - b.half_xyz_m
-    largest = np.maximum(largest, (gaps - np.einsum("nij,i->nj", spread, a.half_xyz_m)).max(axis=1))
+    axes_a = [[a.rotation[:, row, i] for row in range(3)] for i in range(3)]
+    axes_b = [[b.rotation[:, row, j] for row in range(3)] for j in range(3)]
+    turn = [[_sum(u[0] * v[0], u[1] * v[1], u[2] * v[2]) for v in axes_b] for u in axes_a]
+    spread = [[np.abs(entry) for entry in row] for row in turn]
+    away = [b.position_xyz_m[:, row] - a.position_xyz_m[:, row] for row in range(3)]
+    apart = [_sum(u[0] * away[0], u[1] * away[1], u[2] * away[2]) for u in axes_a]
     half_a, half_b = a.half_xyz_m, b.half_xyz_m
+    largest: Array = np.full(len(a.position_xyz_m), -np.inf)
+    for i in range(3):
+        reach = _sum(half_b[0] * spread[i][0], half_b[1] * spread[i][1], half_b[2] * spread[i][2])
+        np.maximum(largest, np.abs(apart[i]) - half_a[i] - reach, out=largest)
+    for j in range(3):
+        along = np.abs(_sum(turn[0][j] * apart[0], turn[1][j] * apart[1], turn[2][j] * apart[2]))
+        reach = _sum(half_a[0] * spread[0][j], half_a[1] * spread[1][j], half_a[2] * spread[2][j])
+        np.maximum(largest, along - half_b[j] - reach, out=largest)
     for i in range(3):
         i1, i2 = (i + 1) % 3, (i + 2) % 3
         for j in range(3):
             j1, j2 = (j + 1) % 3, (j + 2) % 3
             # The cross product of edge i of a and edge j of b; parallel edges show nothing new.
-            length = np.sqrt(np.maximum(1.0 - turn[:, i, j] ** 2, 0.0))
-            gap = np.abs(apart[:, i2] * turn[:, i1, j] - apart[:, i1] * turn[:, i2, j])
-            gap -= half_a[i1] * spread[:, i2, j] + half_a[i2] * spread[:, i1, j]
-            gap -= half_b[j1] * spread[:, i, j2] + half_b[j2] * spread[:, i, j1]
-            largest = np.where(length > 1e-6, np.maximum(largest, gap / np.maximum(length, 1e-6)), largest)
+            squared = 1.0 - turn[i][j] ** 2
+            gap = np.abs(apart[i2] * turn[i1][j] - apart[i1] * turn[i2][j])
+            gap -= half_a[i1] * spread[i2][j] + half_a[i2] * spread[i1][j]
+            gap -= half_b[j1] * spread[i][j2] + half_b[j2] * spread[i][j1]
+            gap /= np.sqrt(np.maximum(squared, 1e-12))
+            np.maximum(largest, np.where(squared > 1e-12, gap, -np.inf), out=largest)
     open_rows = np.flatnonzero((largest > 0.0) & (largest < exact_below_m))
     if len(open_rows):
         some_a, some_b = a.take(open_rows), b.take(open_rows)
@@ -239,6 +262,10 @@ def _box_to_box(a: Solid, b: Solid, exact_below_m: float) -> Array:
             np.maximum(_gap_from_corner(some_a, some_b), _gap_from_corner(some_b, some_a)),
         )
     return largest
+
+
+def _sum(x: Array, y: Array, z: Array) -> Array:
+    return x + y + z
 
 
 def _gap_from_corner(a: Solid, b: Solid) -> Array:

@@ -1,13 +1,15 @@
 """The stage itself: streams out of samples, tracks out of streams, frames out of tracks."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from typing import Self
 
 import numpy as np
 import polars as pl
 from dataframely import DataFrame
+from numpy.typing import NDArray
 
 from demoplan.errors import DataError
-from demoplan.geometry import Array, continuous, normalised
+from demoplan.geometry import Array, Bools, continuous, normalised
 from demoplan.manifests.mapping import Mapping, TransformsTopic
 from demoplan.stages.align.chains import chained, resting, world_tracks
 from demoplan.stages.align.clocks import Stamps, steady, tick_grid
@@ -121,39 +123,71 @@ def _episode(episode_id: str, rows: pl.DataFrame, mapping: Mapping, params: Alig
 def _streams(rows: pl.DataFrame, world: str, params: AlignParams) -> list[_Stream]:
     """Samples, sorted into streams; in the order of their names, so that the order of rows is forgotten."""
     keys = ["topic", "kind", "entity", "reference", "is_static"]
-    groups = rows.with_columns(pl.col("kind").cast(pl.String)).partition_by(keys, as_dict=True)
-    return [_stream(key, groups[key], world, params) for key in sorted(groups)]
+    names = rows.select(keys).unique().with_columns(pl.col("kind").cast(pl.String)).sort(keys).rows()
+    codes = [rows[key].cast(pl.Categorical).to_physical() for key in keys[:4]] + [rows["is_static"]]
+    columns = np.stack([np.asarray(code.to_numpy(), np.int64) for code in codes])
+    code = np.ravel_multi_index(tuple(columns), tuple(columns.max(axis=1, initial=0) + 1))
+    readings = _Readings.of(rows)
+    by_stream = np.argsort(code, kind="stable")
+    bounds = np.flatnonzero(np.append(True, np.diff(code[by_stream]) != 0))
+    strings = [rows[key].cast(pl.String) for key in keys[:4]]
+    found: dict[tuple[object, ...], NDArray[np.intp]] = {}
+    for start, end in zip(bounds, np.append(bounds[1:], len(by_stream)), strict=True):
+        first = int(by_stream[start])
+        key = (*(column[first] for column in strings), bool(rows["is_static"][first]))
+        found[key] = by_stream[start:end]
+    return [_stream(key, readings.take(found[key]), world, params) for key in names]
 
 
-def _stream(key: tuple[object, ...], rows: pl.DataFrame, world: str, params: AlignParams) -> _Stream:
-    topic, kind, entity, reference, is_static = key
-    position = _numbers(rows["position_xyz_m"], 3)
-    raw = _numbers(rows["orientation_wxyz"], 4)
-    grip = rows["grip"].cast(pl.Float64).to_numpy().astype(np.float64)
-    index = rows["message_index"].to_numpy()
-    order = np.argsort(index, kind="stable")
-    if len(index) > 1 and np.any(np.diff(index[order]) == 0):
-        # One body twice in one message: which comes first must not depend on the order of rows.
-        parts = (grip, *raw.T[::-1], *position.T[::-1], rows["stamp_ns"].to_numpy(), index)
-        order = np.lexsort(parts)
-    position, raw, grip = position[order], raw[order], grip[order]
-    stamps, stretches = steady(
-        rows["stamp_ns"].to_numpy()[order],
-        rows["log_ns"].to_numpy()[order],
-        params.clock_jump_ns,
-        params.longest_pause_ns,
-    )
-    if kind == "grip":
-        is_usable = np.isfinite(grip)
-    else:
-        has_orientation = rows["orientation_wxyz"].is_not_null().to_numpy()[order]
-        orientation = normalised(raw)
-        is_usable = np.isfinite(position).all(axis=1) & (
-            ~has_orientation | np.isfinite(orientation).all(axis=1)
+@dataclass(frozen=True, eq=False)
+class _Readings:
+    """Columns of samples, as arrays."""
+
+    message_index: Stamps
+    stamp_ns: Stamps
+    log_ns: Stamps
+    position_xyz_m: Array
+    orientation_wxyz: Array
+    has_orientation: Bools
+    grip: Array
+    is_tracked: Bools
+
+    @classmethod
+    def of(cls, rows: pl.DataFrame) -> Self:
+        """All rows."""
+        return cls(
+            rows["message_index"].to_numpy(),
+            rows["stamp_ns"].to_numpy(),
+            rows["log_ns"].to_numpy(),
+            _numbers(rows["position_xyz_m"], 3),
+            _numbers(rows["orientation_wxyz"], 4),
+            rows["orientation_wxyz"].is_not_null().to_numpy(),
+            rows["grip"].cast(pl.Float64).to_numpy().astype(np.float64),
+            rows["is_tracked"].to_numpy(),
         )
-        raw = orientation
-    is_usable &= rows["is_tracked"].to_numpy()[order]
-    kept = np.flatnonzero(is_usable)
+
+    def take(self, rows: NDArray[np.intp]) -> "_Readings":
+        """Some rows, in the order given."""
+        return _Readings(*(getattr(self, column.name)[rows] for column in fields(self)))
+
+
+def _stream(key: tuple[object, ...], readings: _Readings, world: str, params: AlignParams) -> _Stream:
+    topic, kind, entity, reference, is_static = key
+    index = readings.message_index
+    if np.any(np.diff(index) <= 0):
+        # Into file order; and by value, if one body stands twice in one message: rows may come in any order.
+        values = (readings.grip, *readings.orientation_wxyz.T[::-1], *readings.position_xyz_m.T[::-1])
+        readings = readings.take(np.lexsort((*values, readings.stamp_ns, index)))
+    stamps, stretches = steady(
+        readings.stamp_ns, readings.log_ns, params.clock_jump_ns, params.longest_pause_ns
+    )
+    orientation = normalised(readings.orientation_wxyz)
+    if kind == "grip":
+        is_usable = np.isfinite(readings.grip)
+    else:
+        has_turn = np.isfinite(orientation).all(axis=1)
+        is_usable = np.isfinite(readings.position_xyz_m).all(axis=1) & (has_turn | ~readings.has_orientation)
+    kept = np.flatnonzero(is_usable & readings.is_tracked)
     kept = kept[np.argsort(stamps[kept], kind="stable")]
     if is_static:
         kept = kept[-1:]
@@ -167,9 +201,9 @@ def _stream(key: tuple[object, ...], rows: pl.DataFrame, world: str, params: Ali
         is_static=bool(is_static),
         stamp_ns=stamps[kept],
         stretches=stretches[kept],
-        position_xyz_m=position[kept],
-        orientation_wxyz=raw[kept],
-        grip=grip[kept],
+        position_xyz_m=readings.position_xyz_m[kept],
+        orientation_wxyz=orientation[kept],
+        grip=readings.grip[kept],
     )
 
 
@@ -270,7 +304,7 @@ def _frames(
     is_seen = np.isfinite(age)
     return pl.DataFrame(
         {
-            "episode_id": pl.repeat(episode_id, len(age), dtype=pl.String, eager=True),
+            "episode_id": pl.Series([episode_id]).new_from_index(0, len(age)),
             "entity": pl.Series(names, dtype=pl.String).gather(np.repeat(np.arange(len(names)), n)),
             "tick_ns": np.tile(ticks, len(names)),
             "position_xyz_m": position,

@@ -1,6 +1,6 @@
 """What is known of every body of one episode at every tick, in the form that definitions ask for it."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -38,6 +38,7 @@ class Bodies:
     """Openings of hands ``(e, n)``."""
     velocity_window_s: float
     """Window of every velocity."""
+    _velocities: dict[int, Array] = field(default_factory=dict, repr=False)
     _distances: dict[tuple[int, int], tuple[float, Array]] = field(default_factory=dict, repr=False)
 
     @cached_property
@@ -45,15 +46,18 @@ class Bodies:
         """Whether the pose is known ``(e, n)``."""
         return np.asarray(np.isfinite(self.position_xyz_m).all(axis=-1))
 
-    @cached_property
-    def velocity(self) -> Array:
-        """Velocities of the tracked origins [m/s] ``(e, n, 3)``."""
-        return velocities(self.position_xyz_m, self.tick_s, self.velocity_window_s)
+    def velocity(self, bodies: Sequence[int]) -> Array:
+        """Velocities of tracked origins [m/s] ``(k, n, 3)``; NaN where the pose is not known."""
+        missing = [body for body in bodies if body not in self._velocities]
+        if missing:
+            found = velocities(self.position_xyz_m[missing], self.tick_s, self.velocity_window_s)
+            found[~self.is_seen[missing]] = np.nan
+            self._velocities.update(zip(missing, found, strict=True))
+        return np.stack([self._velocities[body] for body in bodies])
 
-    @cached_property
-    def speed(self) -> Array:
-        """Speeds [m/s] ``(e, n)``; NaN where the pose is not known."""
-        return np.where(self.is_seen, np.linalg.norm(self.velocity, axis=-1), np.nan)
+    def speed(self, bodies: Sequence[int]) -> Array:
+        """Speeds of tracked origins [m/s] ``(k, n)``; NaN where the pose is not known."""
+        return np.asarray(np.linalg.norm(self.velocity(bodies), axis=-1))
 
     def closing_speed(self, one: int, other: int) -> Array:
         """Speed [m/s] ``(n,)`` at which a body itself moves towards the nearest point of another.
@@ -63,7 +67,7 @@ class Bodies:
         middle = self.solids[one].position_xyz_m
         way = nearest_points(self.solids[other], middle) - middle
         length = np.linalg.norm(way, axis=-1)
-        along = np.einsum("ni,ni->n", self.velocity[one], way)
+        along = np.einsum("ni,ni->n", self.velocity([one])[0], way)
         return np.where(
             length > 1e-9, along / np.maximum(length, 1e-9), np.where(np.isnan(length), np.nan, 0.0)
         )

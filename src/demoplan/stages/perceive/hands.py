@@ -31,7 +31,7 @@ def moving(bodies: Bodies, groundings: Groundings, numbers: Numbers, _: dict[str
     """The tracked point of x is faster than ``enter_m_per_s``; it ends below ``exit_m_per_s``."""
     parts = []
     for (body,) in groundings:
-        speed = bodies.speed[body]
+        speed = bodies.speed([body])[0]
         parts.append((speed > numbers["enter_m_per_s"], speed >= numbers["exit_m_per_s"], np.isfinite(speed)))
     return stacked(parts, len(bodies.tick_ns))
 
@@ -88,13 +88,14 @@ def approached(bodies: Bodies, groundings: Groundings, numbers: Numbers, known: 
         distance = np.stack([bodies.distance(hand, target) for target in targets])
         closing = np.stack([bodies.closing_speed(hand, target) for target in targets])
         is_held = np.stack([known["held"].state(hand, target) == TRUE for target in targets])
-        least = np.maximum(numbers["approach_m_per_s"], numbers["heading_ratio"] * bodies.speed[hand])
+        speed = bodies.speed([hand])[0]
+        least = np.maximum(numbers["approach_m_per_s"], numbers["heading_ratio"] * speed)
         candidates = (distance <= numbers["enter_m"]) & (closing >= least) & ~is_held
         is_fixed = np.array([bodies.is_fixed[target] for target in targets])
         is_at = (distance <= numbers["rest_m"]) & ~is_held
         candidates[is_fixed] &= ~(candidates | is_at)[~is_fixed].any(axis=0)
         begins = _nearest(distance, candidates)
-        is_there = (bodies.speed[hand] >= numbers["approach_m_per_s"]) | (distance <= numbers["rest_m"])
+        is_there = (speed >= numbers["approach_m_per_s"]) | (distance <= numbers["rest_m"])
         goes_on = (distance <= numbers["exit_m"]) & (closing > -numbers["recede_m_per_s"]) & is_there
         enters[rows] = begins
         stays[rows] = goes_on & ~is_held & ~(begins.any(axis=0) & ~begins)

@@ -30,24 +30,30 @@ def held(bodies: Bodies, groundings: Groundings, numbers: Numbers, _: dict[str, 
     for hand, rows in rows_of.items():
         objects = [groundings[row][1] for row in rows]
         distance = np.stack([bodies.distance(hand, other) for other in objects])
-        slip = _slip(bodies, hand, objects)
-        speed = np.nan_to_num(bodies.speed[objects])
-        with np.errstate(invalid="ignore"):
-            together = (speed > numbers["carry_m_per_s"]) & (slip <= numbers["slip_ratio"] * speed)
         near = distance <= numbers["enter_m"]
-        nearest = near & (distance <= np.nanmin(np.where(near, distance, np.inf), axis=0))
-        has_grip = bool(np.isfinite(bodies.grip[hand]).any())
-        if has_grip:
-            grip = bodies.grip[hand]
+        nearest = near & (distance <= np.where(near, distance, np.inf).min(axis=0))
+        grip = bodies.grip[hand]
+        if np.isfinite(grip).any():
             closed = hysteresis(grip <= numbers["closed_fraction"], ~(grip >= numbers["open_fraction"]))
             at_closing = _at_onset(closed, distance <= numbers["exit_m"])
-            enters[rows] = closed & nearest & (at_closing | together)
+            grasped = closed & nearest & at_closing
+            if (closed & nearest & ~at_closing).any():
+                grasped |= closed & nearest & _together(bodies, hand, objects, numbers)
+            enters[rows] = grasped
             stays[rows] = closed & (distance <= numbers["exit_m"])
             observed[rows] = np.isfinite(distance) & np.isfinite(grip)
         else:
-            enters[rows], stays[rows] = _by_motion(distance, nearest & together, slip, speed, numbers)
+            carried = nearest & _together(bodies, hand, objects, numbers)
+            slip, speed = _slip(bodies, hand, objects), np.nan_to_num(bodies.speed(objects))
+            enters[rows], stays[rows] = _by_motion(distance, carried, slip, speed, numbers)
             observed[rows] = np.isfinite(distance)
     return Evidence(enters, stays, observed)
+
+
+def _together(bodies: Bodies, hand: int, objects: list[int], numbers: Numbers) -> Bools:
+    """Where objects ``(k, n)`` move with the hand."""
+    slip, speed = _slip(bodies, hand, objects), bodies.speed(objects)
+    return np.asarray((speed > numbers["carry_m_per_s"]) & (slip <= numbers["slip_ratio"] * speed))
 
 
 def _slip(bodies: Bodies, hand: int, objects: list[int]) -> Array:
@@ -59,7 +65,7 @@ def _slip(bodies: Bodies, hand: int, objects: list[int]) -> Array:
     turned = bodies.orientation_wxyz[hand]
     seen_by_hand = rotate(np.broadcast_to(conjugate(turned), (*away.shape[:-1], 4)), away)
     in_hand_frame = velocities(seen_by_hand, bodies.tick_s, bodies.velocity_window_s)
-    in_world = bodies.velocity[objects] - bodies.velocity[hand]
+    in_world = bodies.velocity(objects) - bodies.velocity([hand])
     is_turned = np.isfinite(turned).all(axis=-1, keepdims=True) & np.isfinite(in_hand_frame)
     return np.asarray(np.linalg.norm(np.where(is_turned, in_hand_frame, in_world), axis=-1))
 

@@ -125,7 +125,7 @@ def _intervals(
     predicate_of = np.repeat(np.arange(len(predicates)), counts)
     return pl.DataFrame(
         {
-            "episode_id": pl.repeat(episode_id, len(rows), dtype=pl.String, eager=True),
+            "episode_id": pl.Series([episode_id]).new_from_index(0, len(rows)),
             "predicate": pl.Series(predicates, dtype=pl.String).gather(predicate_of[rows]),
             "arguments": pl.Series(atoms, dtype=pl.List(pl.String)).gather(rows),
             "start_ns": edges[starts],

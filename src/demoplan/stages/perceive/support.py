@@ -40,12 +40,15 @@ def rests_on(bodies: Bodies, groundings: Groundings, numbers: Numbers, _: dict[s
     tops = np.full((len(groundings), n_ticks), -np.inf)
     observed = np.zeros((len(groundings), n_ticks), np.bool_)
     for row, (rider, support) in enumerate(groundings):
-        low, _high = heights(bodies.solids[rider])
-        top = top_beneath(
-            bodies.solids[support], bodies.solids[rider].position_xyz_m, numbers["footprint_margin_m"]
-        )
-        gaps[row] = np.abs(low - top)
-        tops[row] = np.where(gaps[row] <= numbers["exit_m"], top, -np.inf)
+        riding, below = bodies.solids[rider], bodies.solids[support]
+        aside = np.hypot(*(riding.position_xyz_m - below.position_xyz_m).T[:2])
+        near = np.flatnonzero(aside <= below.radius_m + 2.0 * numbers["footprint_margin_m"])
+        if len(near):
+            riding, below = riding.take(near), below.take(near)
+            top = top_beneath(below, riding.position_xyz_m, numbers["footprint_margin_m"])
+            gap = np.abs(heights(riding)[0] - top)
+            gaps[row, near] = gap
+            tops[row, near] = np.where(gap <= numbers["exit_m"], top, -np.inf)
         observed[row] = bodies.is_seen[rider] & bodies.is_seen[support]
     uppermost: dict[int, np.typing.NDArray[np.float64]] = {}
     for row, (rider, _support) in enumerate(groundings):
