@@ -3,7 +3,8 @@
 The question is compiled into planning itself. Before the first real step, auxiliary operators may assume an
 atom or retract one, at a price that no plan of reasonable length reaches; a plan of least cost then makes the
 fewest changes, and among those takes the fewest steps. What it assumes is what to demonstrate next: how this
-comes about is what the domain does not know.
+comes about is what the domain does not know. Changes keep to what the operators themselves keep (a hand is
+open or holds one thing): to assume that a hand holds a cube, it has to be retracted that it is open.
 
 Source: for the question, M. Diehl, T. Chakraborti, K. Ramirez-Amaro, "Enabling robots to identify missing
 steps in robot tasks for guided learning from demonstration", 2023, arXiv:2311.18355; for answering it by
@@ -11,7 +12,7 @@ planning, M. Göbelbecker, T. Keller, P. Eyerich, M. Brenner, B. Nebel, "Coming 
 do when no plan can be found", ICAPS 2010.
 """
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from itertools import product
 
@@ -19,6 +20,8 @@ from demoplan.errors import DataError
 from demoplan.language.atoms import Atom, Literal
 from demoplan.language.domains import Domain, Operator, Parameter, Plan, Problem, Signature
 from demoplan.language.execution import execute
+from demoplan.language.invariants import ExclusiveGroup, exclusive_groups
+from demoplan.language.types import ROOT
 
 _CHOOSING = Literal(Atom("choosing a start"))
 _BEGIN = "begin with it"
@@ -47,7 +50,11 @@ class Repair:
     removed: tuple[Atom, ...]
     plan: Plan
     is_minimal: bool
-    """No smaller change gives a plan shorter than the price of a change; otherwise it is just one found."""
+    """No smaller change gives a plan shorter than the price of a change; otherwise it is just one found.
+
+    Compared are changes that keep to the groups of :mod:`demoplan.language.invariants`, and that none of the
+    excluded literals is in.
+    """
     is_trivial: bool
     """It assumes nothing but the goal itself."""
 
@@ -109,7 +116,8 @@ def ask_for_repair(
     Raises:
         DataError: If there are too many atoms to consider.
     """
-    assumable, retractable = _candidates(domain, problem, params, excluded)
+    groups = dict(enumerate(exclusive_groups(domain, problem.initial)))
+    assumable, retractable = _candidates(domain, problem, params, excluded, tuple(groups.values()))
     signatures = {signature.name: signature for signature in domain.predicates}
     changed = [(_ASSUME, name, True) for name in sorted({atom.predicate for atom in assumable})]
     changed += [(_RETRACT, name, False) for name in sorted({atom.predicate for atom in retractable})]
@@ -118,7 +126,7 @@ def ask_for_repair(
         for each in domain.operators
     ]
     operators += [
-        _change(prefix, signatures[name], is_positive, params.change_cost)
+        _change(prefix, signatures[name], is_positive, params.change_cost, groups)
         for prefix, name, is_positive in changed
     ]
     operators.append(Operator(_BEGIN, (), frozenset({_CHOOSING}), frozenset({_CHOOSING.negated()}), cost=0))
@@ -126,8 +134,13 @@ def ask_for_repair(
     predicates += [
         Signature(f"may {prefix}{name}", signatures[name].argument_types) for prefix, name, _ in changed
     ]
+    predicates += [Signature(_free(number), (ROOT,)) for number in groups]
     allowed = {Atom(f"may {_ASSUME}{atom.predicate}", atom.arguments) for atom in assumable}
     allowed |= {Atom(f"may {_RETRACT}{atom.predicate}", atom.arguments) for atom in retractable}
+    objects = {name for name, _ in (*domain.constants, *problem.objects)}
+    for number, group in groups.items():
+        taken = {group.key(atom) for atom in problem.initial}
+        allowed |= {Atom(_free(number), (name,)) for name in objects - taken}
     return (
         replace(
             domain,
@@ -218,37 +231,53 @@ def _advice(literal: Literal, domain: Domain) -> str:
     ]
     if not makers:
         return f"no operator ever {verb} {literal.atom.predicate}: demonstrate an activity that {verb} it"
+    what = "adding" if literal.is_positive else "removing"
     has_to = "holds" if literal.is_positive else "ceases to hold"
     return (
-        f"{literal.atom.predicate} is what {', '.join(makers)} {verb}, but not in time from this start: "
-        f"demonstrate from it how {literal.atom} {has_to}"
+        f"{what} {literal.atom.predicate} takes {' or '.join(makers)}, which cannot be had in time from here: "
+        f"demonstrate how {literal.atom} {has_to}"
     )
 
 
-def _change(prefix: str, signature: Signature, is_positive: bool, cost: int) -> Operator:
+def _free(group_number: int) -> str:
+    return f"free in group {group_number}"
+
+
+def _change(
+    prefix: str, signature: Signature, is_positive: bool, cost: int, groups: Mapping[int, ExclusiveGroup]
+) -> Operator:
     variables = tuple(f"?x{number}" for number in range(1, len(signature.argument_types) + 1))
     target = Literal(Atom(signature.name, variables), is_positive)
     permission = Literal(Atom(f"may {prefix}{signature.name}", variables))
+    keys = {number: group.key(target.atom) for number, group in groups.items()}
+    free = frozenset(Literal(Atom(_free(number), (key,))) for number, key in keys.items() if key is not None)
     return Operator(
         name=f"{prefix}{signature.name}",
         parameters=tuple(
             Parameter(name, kind) for name, kind in zip(variables, signature.argument_types, strict=True)
         ),
-        preconditions=frozenset({permission, target.negated(), _CHOOSING}),
-        effects=frozenset({target}),
+        preconditions=frozenset({permission, target.negated(), _CHOOSING})
+        | (free if is_positive else frozenset()),
+        effects=frozenset({target}) | (frozenset(each.negated() for each in free) if is_positive else free),
         cost=cost,
     )
 
 
 def _candidates(
-    domain: Domain, problem: Problem, params: RepairParams, excluded: frozenset[Literal]
+    domain: Domain,
+    problem: Problem,
+    params: RepairParams,
+    excluded: frozenset[Literal],
+    groups: Iterable[ExclusiveGroup],
 ) -> tuple[list[Atom], list[Atom]]:
     """Atoms that it could help to assume, and atoms that it could help to retract, sorted."""
     relevant = _relevant(domain.operators, problem.goal)
+    in_the_way = {predicate for group in groups for predicate, _ in group.members}
     retractable = sorted(
         atom
         for atom in problem.initial
-        if (atom.predicate, False) in relevant and Literal(atom, False) not in excluded
+        if ((atom.predicate, False) in relevant or atom.predicate in in_the_way)
+        and Literal(atom, False) not in excluded
     )
     objects = sorted({*domain.constants, *problem.objects})
     assumable: list[Atom] = []
