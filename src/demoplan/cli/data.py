@@ -40,6 +40,7 @@ def register(app: typer.Typer) -> None:
     app.command()(tables)
     app.command()(view)
     app.command()(record)
+    app.command()(schemas)
 
 
 def show_states(states: list[EpisodeState], *, as_json: bool) -> Exit:
@@ -216,7 +217,7 @@ def record(
     as_json: JsonOption = False,
 ) -> None:
     """Record demonstrations by simulated people in a physics scene: logs, true labels and dataset.yaml."""
-    from demoplan.engines.mujoco import STUDY_TASKS
+    from demoplan.engines.mujoco.tasks import STUDY_TASKS
     from demoplan.logs.writing import LOG_FORMATS
     from demoplan.pipeline import record as recording
 
@@ -239,3 +240,13 @@ def record(
         print_json(rows)
     else:
         print_frame(f"recorded into {folder}", rows.drop("sha256"), limit=1000)
+
+
+def schemas(
+    folder: Annotated[Path, typer.Argument(help="Folder to write to.")] = Path("schemas"),
+) -> None:
+    """Write the published contracts: every table, and the JSON Schemas of dataset and vocabulary files."""
+    from demoplan.pipeline.contracts import write_contracts
+
+    for path in write_contracts(folder):
+        say(str(path))

@@ -1,0 +1,191 @@
+"""The command line as its user meets it: real processes, real exit codes."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+CHECKOUT = Path(__file__).resolve().parents[2]
+
+
+def demoplan(*arguments, cwd=None, **environment):
+    environment = {
+        "PATH": os.environ["PATH"],
+        "HOME": "/tmp",
+        "PYTHONPATH": str(CHECKOUT / "src"),
+        **environment,
+    }
+    return subprocess.run(
+        [sys.executable, "-m", "demoplan", *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        cwd=cwd,
+        env=environment,
+        timeout=120,
+        check=False,
+    )
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory):
+    """A store into which two shipped episodes were run by the published rules."""
+    folder = tmp_path_factory.mktemp("cli")
+    manifest = (CHECKOUT / "datasets/cube-stacking/dataset.yaml").read_text()
+    head, _, rest = manifest.partition("\nepisodes:\n")
+    entries = rest.split("\n  - id: ")
+    kept = [e for e in ("\n" + rest).split("\n  - id: ")[1:] if e.startswith(("p1-one-left", "p3-one-right"))]
+    assert len(kept) == 2
+    assert entries
+    vocabulary = "vocabulary: ../../schemas/vocabularies/tabletop.yaml"
+    assert vocabulary in head
+    head = head.replace(vocabulary, f"vocabulary: {CHECKOUT}/schemas/vocabularies/tabletop.yaml")
+    head = head.replace("name: cube-stacking", "name: two", 1)
+    text = head + "\nepisodes:\n" + "".join(f"  - id: {entry.rstrip()}\n" for entry in _bare(kept))
+    text += "goals:\n  - {name: one, goal: 'onTop(cube_red,cube_blue)'}\n"
+    (folder / "dataset.yaml").write_text(text)
+    root = CHECKOUT / "datasets/cube-stacking"
+    ended = demoplan(
+        *("run", folder, "--root", root, "--store", folder / "store", "--segmenter", "rules", "--json")
+    )
+    assert ended.returncode == 0, ended.stderr
+    return folder, json.loads(ended.stdout)
+
+
+def _bare(entries):
+    """Episode entries without what follows the list in the manifest."""
+    for entry in entries:
+        lines = entry.splitlines()
+        yield "\n".join([lines[0], *(line for line in lines[1:] if line.startswith("    "))])
+
+
+def test_the_main_job_prints_one_json_value_and_writes_a_report(store):
+    _, summary = store
+    assert {episode["status"] for episode in summary["episodes"]} == {"complete"}
+    assert [domain["name"] for domain in summary["domains"]] == ["p1-one-left", "p3-one-right", "combined"]
+    report = Path(summary["report"]).read_text()
+    assert "<html" in report
+    assert "p1-one-left" in report
+    for outside in ("http://", "https://", "<script"):
+        assert outside not in report
+
+
+def test_a_second_run_makes_nothing_new(store):
+    folder, _ = store
+    before = sorted((path, path.stat().st_mtime_ns) for path in (folder / "store/objects").rglob("*.parquet"))
+    ended = demoplan(
+        *("run", folder, "--root", CHECKOUT / "datasets/cube-stacking", "--store", folder / "store"),
+        *("--segmenter", "rules", "--json"),
+    )
+    assert ended.returncode == 0
+    after = sorted((path, path.stat().st_mtime_ns) for path in (folder / "store/objects").rglob("*.parquet"))
+    assert before == after
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "words"),
+    [
+        (["tables"], 0, ["p1-one-left", "facts"]),
+        (["tables", "activities", "-e", "p1-one-left"], 0, ["Reach"]),
+        (["tables", "facts", "--where", "predicate = 'inHand'"], 0, ["inHand"]),
+        (["tables", "facts", "--where", "predicat = 1"], 2, ["predicat", "columns:", "predicate"]),
+        (["tables", "fact"], 2, ["unknown table 'fact'", "facts"]),
+        (["tables", "facts", "-e", "nobody"], 2, ["unknown episode 'nobody'", "two/p1-one-left"]),
+        (["tables", "facts", "-d", "three"], 2, ["unknown dataset 'three'", "two"]),
+        (["domain", "list"], 0, ["two--p1-one-left"]),
+        (["domain", "show", "two"], 0, ["(define (domain"]),
+        (["domain", "show", "two", "--evidence"], 0, ["support", "p1-one-left"]),
+        (["domain", "show", "nothing"], 2, ["unknown domain 'nothing'", "two"]),
+        (["domain", "diff", "two", "two"], 0, []),
+        (["view", "nobody"], 2, ["unknown episode 'nobody'"]),
+        (["plan", "-d", "two", "-s", "p1-one-left@99", "-g", "clear(cube_red)"], 2, ["lasts"]),
+        (["plan", "-d", "two", "-s", "nonsense", "-g", "clear(cube_red)"], 2, ["EPISODE@start"]),
+        (
+            ["plan", "-d", "two", "-s", "p1-one-left@start", "-g", "clear(cube_blak)"],
+            2,
+            ["cube_black", "cube_red"][1:],
+        ),
+        (["plan", "-d", "two", "-s", "p1-one-left@start", "-g", "clean(cube_red)"], 2, ["'clean'", "clear"]),
+        (["plan", "-d", "two", "-s", "p1-one-left@start", "-g", "clear(cube_red"], 2, ["goal"]),
+        (["plan", "-d", "two", "-s", "nofile.json", "-g", "clear(cube_red)"], 2, ["no such file"]),
+    ],
+)
+def test_reading_commands_answer_or_say_what_is_wrong(store, arguments, code, words):
+    folder, _ = store
+    ended = demoplan(*arguments, "--store", folder / "store")
+    assert ended.returncode == code, ended.stderr
+    assert "Traceback" not in ended.stderr
+    for word in words:
+        assert word in ended.stdout + ended.stderr
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["tables"],
+        ["tables", "facts"],
+        ["domain", "list"],
+        ["domain", "show", "two"],
+        ["domain", "diff", "two", "two"],
+    ],
+)
+def test_reading_commands_speak_json(store, arguments):
+    folder, _ = store
+    ended = demoplan(*arguments, "--store", folder / "store", "--json")
+    assert ended.returncode == 0, ended.stderr
+    json.loads(ended.stdout)
+
+
+def test_a_recording_is_saved_without_a_screen(store, tmp_path):
+    folder, _ = store
+    ended = demoplan("view", "p1-one-left", "-o", tmp_path / "a.rrd", "--store", folder / "store")
+    assert ended.returncode == 0, ended.stderr
+    assert (tmp_path / "a.rrd").read_bytes()[:4] in (b"RRF2", b"RRF1", b"RRIO")
+
+
+def test_bad_arguments_end_with_two_and_missing_logs_with_one(tmp_path):
+    assert demoplan("run", tmp_path).returncode == 2
+    assert demoplan("nonsense").returncode == 2
+    missing = demoplan("doctor", tmp_path / "no.mcap")
+    assert (missing.returncode, "does not exist" in missing.stderr) == (1, True)
+
+
+def test_a_bad_log_is_set_aside_and_the_others_go_on(tmp_path):
+    folder, root = tmp_path / "data", CHECKOUT / "datasets/cube-stacking"
+    folder.mkdir()
+    good = (root / "logs/p1-one-left.mcap").read_bytes()
+    (folder / "good.mcap").write_bytes(good)
+    (folder / "cut.mcap").write_bytes(good[: len(good) * 9 // 10])
+    (folder / "empty.mcap").write_bytes(b"")
+    (folder / "text.mcap").write_text("this is not a log")
+    head = (root / "dataset.yaml").read_text().partition("\nepisodes:\n")[0]
+    head = head.replace("../../schemas", f"{CHECKOUT}/schemas")
+    names = ("good", "cut", "empty", "text", "missing")
+    entries = "".join(f"  - {{id: {n}, file: {n}.mcap, participant: p, task: t}}\n" for n in names)
+    (folder / "dataset.yaml").write_text(f"{head}\nepisodes:\n{entries}")
+    ended = demoplan("ingest", folder, "--store", tmp_path / "store", "--json")
+    assert ended.returncode == 3
+    found = {episode["episode_id"]: episode for episode in json.loads(ended.stdout)}
+    statuses = {name: found[name]["status"] for name in names}
+    assert statuses == {
+        "good": "complete",
+        "cut": "truncated",
+        "empty": "quarantined",
+        "text": "quarantined",
+        "missing": "quarantined",
+    }
+    for name in names[2:]:
+        assert f"{name}.mcap" in found[name]["reason"]
+    rows = demoplan("tables", "facts", "-e", "cut", "--store", tmp_path / "store", "--json")
+    assert json.loads(rows.stdout), "what a truncated log still holds is kept"
+
+
+@pytest.mark.parametrize(
+    "command", ["run", "record", "ingest", "doctor", "segmenter", "domain", "plan", "view", "tables"]
+)
+def test_every_command_has_help(command):
+    ended = demoplan(command, "--help")
+    assert ended.returncode == 0
+    assert "Usage" in ended.stdout
