@@ -134,7 +134,7 @@ class Relevance:
     is_effect: Callable[[LiftedAtom], bool]
     """Whether an atom's change may be an effect."""
     is_link: Callable[[LiftedAtom], bool]
-    """Whether an atom is a state of the hand by which activities follow each other: what one brings about, the
+    """Whether an atom is a state of the hand by which activities follow each other: one brings it about, the
     next takes away. Such atoms change at the ends of activities, which are never exact, so that exceptions
     are many; the majority decides."""
     is_condition: Callable[[LiftedAtom, bool, bool], bool]

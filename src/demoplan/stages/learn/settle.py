@@ -108,8 +108,8 @@ def _holding(data: Encoded, params: LearnParams) -> Ints:
 def _manipulated(data: Encoded, holds: Ints, types: TypeHierarchy, params: LearnParams) -> Ints:
     """The object grasped, else released or held, else named by the activity, else come to; shape (n,).
 
-    An activity may name nothing, or what no hand can hold (the table, when the hand comes down beside a cube).
-    Then the object is the one that the hand grasps next, if the hand came into a relation with it.
+    An activity may name nothing, or what no hand can hold (the table, when the hand comes down beside a
+    cube). Then the object is the one that the hand grasps next, if the hand came into a relation with it.
     """
     before, after = holds[:, 0], holds[:, 1]
     rows = np.arange(data.n)

@@ -41,7 +41,11 @@ def keep_apart(
                     options.append(_negation(swapped, draft, patterns, params))
         possible = [each for each in options if each.n_support > each.n_against]
         if possible:
-            added.append(min(possible, key=lambda each: (-each.probability, each.n_against, each.atom)))
+            added.append(
+                min(
+                    possible, key=lambda each: (HAND not in each.atom.variables, -each.probability, each.atom)
+                )
+            )
     if not added:
         return draft
     atoms_added = {each.atom for each in added}
@@ -181,7 +185,10 @@ def _superfluous(draft: Draft, others: Sequence[Draft], noise: Noise, params: Le
     substance = _substance(draft)
     n_activity = draft.count + sum(each.count for each in siblings)
     if not substance:
-        if any(_substance(each) and each.count >= draft.count for each in siblings):
+        # In mid-carry a hollow step is a part of the carry however often it is; a free hand's may be its own.
+        if any(
+            _substance(each) and (each.count >= draft.count or draft.grip == "holds") for each in siblings
+        ):
             return "changes neither hold nor support, as its activity does"
         for each in siblings:
             is_more = each.count > draft.count or (
