@@ -15,7 +15,8 @@ import polars as pl
 from ruamel.yaml import YAML
 from ruamel.yaml.comments import CommentedMap
 
-from demoplan.engines.mujoco.demonstration import Demonstration, demonstrate
+from demoplan.engines.mujoco.acting import demonstrate
+from demoplan.engines.mujoco.demonstration import Demonstration
 from demoplan.engines.mujoco.labels import LabelParams, label
 from demoplan.engines.mujoco.participants import Participant, draw_participant
 from demoplan.engines.mujoco.scene import TABLE, SceneParams, cube_names, draw_layout

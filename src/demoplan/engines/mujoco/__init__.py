@@ -1,6 +1,7 @@
 """Physics: scenes in MuJoCo, and participants who demonstrate tasks in them.
 
 ``scene`` builds a table with cubes and says what rests on what; ``hands`` adds a hand that follows a
-commanded pose; ``motion`` gives minimum-jerk paths; ``participants`` draws who demonstrates;
-``demonstration`` lets them act; ``labels`` says what they did; ``sensing`` is what a rig saw of it.
+commanded pose; ``workspace`` advances both, tick by tick. ``participants`` draws who demonstrates, ``tasks``
+says what, ``motion`` gives minimum-jerk paths, ``moving`` and ``acting`` let them act. ``demonstration`` is
+what comes of it, ``labels`` what they truly did, ``sensing`` what a rig saw of it.
 """
