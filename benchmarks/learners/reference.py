@@ -203,3 +203,30 @@ def trace_text(states: list[set[Fact]], actions: list[Fact]) -> str:
         if index < len(actions):
             parts.append(f"(:action ({' '.join(actions[index])}))")
     return "(:trajectory\n\n" + "\n\n".join(parts) + "\n\n)\n"
+
+
+def domain_text(model: Model, names: set[str]) -> str:
+    """A model's text, with the actions named."""
+
+    def joined(facts: set[Fact], pattern: str = "{}") -> str:
+        return " ".join(pattern.format(f"({' '.join(fact)})") for fact in sorted(facts))
+
+    types = " ".join(f"{name} - {parent}" for name, parent in sorted(model.parents.items()))
+    constants = " ".join(f"{name} - {kind}" for name, kind in model.constants)
+    predicates = " ".join(
+        f"({name}{''.join(f' ?x{n} - {kind}' for n, kind in enumerate(kinds))})"
+        for name, kinds in sorted(model.predicates.items())
+    )
+    lines = [f"(define (domain {model.name})", "(:requirements :strips :typing)"]
+    lines += [f"(:types {types})"] if types else []
+    lines += [f"(:constants {constants})"] if constants else []
+    lines.append(f"(:predicates {predicates})")
+    for name in sorted(names):
+        action = model.actions[name]
+        parameters = " ".join(f"{one} - {kind}" for one, kind in action.parameters)
+        lines.append(
+            f"(:action {name} :parameters ({parameters})\n"
+            f" :precondition (and {joined(action.holds)} {joined(action.absent, '(not {})')})\n"
+            f" :effect (and {joined(action.adds)} {joined(action.deletes, '(not {})')}))"
+        )
+    return "\n".join([*lines, ")"]) + "\n"

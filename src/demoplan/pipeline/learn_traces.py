@@ -11,13 +11,15 @@ from demoplan.language.traces import (
     Fault,
     Signatures,
     TraceReader,
-    TraceSet,
     infer_signatures,
     read_objects,
     read_signatures,
     render_strips,
 )
-from demoplan.stages.denoise import Denoised, DenoiseParams, denoise
+from demoplan.stages.denoise import Denoised, DenoiseParams, Gathered, conclude, gather
+
+_MAX_PENDING = 2_000_000
+"""Observed atoms that are read before they are counted and, for the most part, let go."""
 
 _NUMBER = re.compile(r"\d+")
 
@@ -62,22 +64,23 @@ def learn_traces(case_dir: Path, out: Path, params: DenoiseParams = DenoiseParam
     start = time.perf_counter()
     files = _trajectories(case_dir)
     root = case_dir if case_dir.is_dir() else case_dir.parent
-    traces, signatures, faults = _read(root, files)
-    if traces.n_actions == 0:
+    gathered, signatures, faults = _read(root, files, params)
+    n_transitions = int(gathered.counts.n_transitions.sum())
+    if n_transitions == 0:
         told = "; ".join(str(fault) for fault in faults[:3])
         raise UsageError(
             f"{case_dir}: no transition to learn from in {len(files)} files: {told or 'all are empty'}"
         )
     read_s = time.perf_counter() - start
-    denoised = denoise(traces, params)
+    denoised = conclude(gathered, params)
     _write(out, render_strips(signatures, denoised.actions()))
     known = set(denoised.operators["operator"])
     return LearnTracesReport(
         denoised=denoised,
         signatures=signatures,
         faults=faults,
-        n_traces=len(set(traces.trace_names)),
-        n_transitions=traces.n_actions,
+        n_traces=len(files),
+        n_transitions=n_transitions,
         unseen_actions=tuple(each.name for each in signatures.actions if each.name not in known),
         read_s=read_s,
         learn_s=time.perf_counter() - start - read_s,
@@ -101,7 +104,10 @@ def _number(path: Path) -> int:
     return int(match[0]) if match else -1
 
 
-def _read(root: Path, files: list[Path]) -> tuple[TraceSet, Signatures, tuple[Fault, ...]]:
+def _read(
+    root: Path, files: list[Path], params: DenoiseParams
+) -> tuple[Gathered, Signatures, tuple[Fault, ...]]:
+    """Read file by file, and keep what learning needs, so that memory does not grow with the files."""
     faults: list[Fault] = []
     domain = root / "domain.pddl"
     if domain.is_file():
@@ -111,11 +117,15 @@ def _read(root: Path, files: list[Path]) -> tuple[TraceSet, Signatures, tuple[Fa
         faults.clear()  # told again when the files are read
     faults += found
     reader = TraceReader(signatures)
+    gathered: Gathered | None = None
     for text, path in _texts(root, files, faults):
         objects, found = _objects(root, path, signatures)
         faults += found
         reader.add(text, path, objects)
-    return reader.result(), signatures, tuple(sorted((*faults, *reader.faults)))
+        if reader.n_pending > _MAX_PENDING:
+            gathered = gather(reader.take(), params, gathered)
+    gathered = gather(reader.take(), params, gathered)
+    return gathered, signatures, tuple(sorted((*faults, *reader.faults)))
 
 
 def _texts(root: Path, files: list[Path], faults: list[Fault]) -> Iterator[tuple[str, str]]:

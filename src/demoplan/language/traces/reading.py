@@ -4,6 +4,7 @@ A trace of a million states has tens of millions of atoms, so no value is made p
 of a state are found by one expression and looked up by their text. Lines are counted only for what is wrong.
 """
 
+import itertools
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
@@ -11,7 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from demoplan.language.traces.values import ABSENT, ActionSignature, Codes, Fault, Signatures, TraceSet
+from demoplan.language.traces.values import ABSENT, Codes, Fault, Signatures, TraceSet
 from demoplan.language.types import ROOT
 
 _ITEM = re.compile(r"\(\s*(:state|:init|:action|:operator|operator:)(?=[\s()])", re.IGNORECASE)
@@ -21,6 +22,13 @@ _PARTIAL_HEAD = re.compile(
 )
 _LEAF = re.compile(r"\(([^()]*)\)")
 _NEGATION = re.compile(r"\(\s*not\s*\(([^()]*)\)\s*\)", re.IGNORECASE)
+_SKELETON = re.compile(
+    r"\s*\(\s*(?::?(?:trajectory|observation))?\s*"
+    r"(?:\(\s*(?::state|:init)\s*\)\s*\(\s*(?::action|:operator|operator:)\s*\)\s*)+"
+    r"\(\s*:state\s*\)\s*\)\s*",
+    re.IGNORECASE,
+)
+"""A whole trace without the innermost lists, where states and actions alternate as they should."""
 _CONJUNCTION = re.compile(r"\s*\(\s*and(?=[\s()])", re.IGNORECASE)
 _COMMENT = re.compile(r";[^\n]*")
 _MAX_TEXT = 60
@@ -47,6 +55,7 @@ class _Codes(dict[str, int]):
         self.objects = objects
         self.atoms: dict[tuple[int, ...], int] = {}
         self.problems: list[str] = []
+        self.rows: list[tuple[int, ...]] = []
 
     def __missing__(self, text: str) -> int:
         words = text.lower().split()
@@ -58,7 +67,10 @@ class _Codes(dict[str, int]):
             problem = f"({_short(text)}) has {len(words) - 1} arguments; {signature.name!r} takes {wanted}"
         else:
             key = (index, *(self.objects.setdefault(word, len(self.objects)) for word in words[1:]))
-            self[text] = code = self.atoms.setdefault(key, len(self.atoms))
+            code = self.atoms.setdefault(key, len(self.atoms))
+            if code == len(self.rows):
+                self.rows.append(key)
+            self[text] = code
             return code
         self.problems.append(problem)
         self[text] = code = -len(self.problems)
@@ -104,7 +116,21 @@ class TraceReader:
         self._actions = {each.name.lower(): (n, each) for n, each in enumerate(signatures.actions)}
         self._columns = _Columns()
         self._faults: dict[tuple[str, str], tuple[int, int]] = {}
-        self._fits: dict[tuple[str, str], bool] = {}
+        types = signatures.types
+        self._kinds = {name: n for n, name in enumerate((ROOT, *types.names))}
+        n_kinds, predicates = len(self._kinds), signatures.predicates
+        widest = max((len(each.argument_types) for each in predicates), default=0)
+        self._table = np.zeros((0, widest + 1), dtype=np.int64)
+        self._fits = np.zeros((n_kinds + 1, n_kinds + 1), dtype=np.bool_)
+        self._fits[:, n_kinds] = True
+        for kind, n in self._kinds.items():
+            self._fits[n, [self._kinds[each] for each in types.ancestors(kind)]] = True
+        self._wanted = np.full((len(predicates), widest), n_kinds)
+        for n, predicate in enumerate(predicates):
+            self._wanted[n, : len(predicate.argument_types)] = [
+                self._kinds[t] for t in predicate.argument_types
+            ]
+        self._verdicts: dict[tuple[tuple[str, str], ...], _Verdicts] = {}
 
     @property
     def faults(self) -> tuple[Fault, ...]:
@@ -125,7 +151,8 @@ class TraceReader:
             _COMMENT.sub(lambda match: " " * len(match[0]), text) if ";" in text else text, file, self
         )
         types = None if objects is None else self._declare(objects, source)
-        self._sequence(source, types)
+        if not self._quick(source, types):
+            self._sequence(source, types)
 
     def _declare(self, objects: Mapping[str, str], source: "_Source") -> dict[int, str]:
         declared = {name.lower(): kind for name, kind in (*self.signatures.constants, *objects.items())}
@@ -133,6 +160,8 @@ class TraceReader:
         for name, kind in declared.items():
             types[self._objects.setdefault(name, len(self._objects))] = kind
         source.types = types
+        # Traces often share their objects: what was found of atoms and actions then holds for all of them.
+        source.verdicts = self._verdicts.setdefault(tuple(sorted(declared.items())), _Verdicts())
         return types
 
     def _begin(self, source: "_Source") -> int:
@@ -144,6 +173,43 @@ class TraceReader:
             columns.declared_object.append(index)
             columns.declared_type.append(kind)
         return trace
+
+    def _quick(self, source: "_Source", types: Mapping[int, str] | None) -> bool:
+        """Read a trace that has nothing wrong with it; otherwise change nothing and say so."""
+        if not _SKELETON.fullmatch(_LEAF.sub("", source.text)):
+            return False
+        bodies = _ITEM.split(source.text)[2::2]
+        states = [_LEAF.findall(body) for body in bodies[::2]]
+        codes = np.fromiter(
+            map(self._codes.__getitem__, itertools.chain.from_iterable(states)), dtype=np.int64
+        )
+        if len(codes) and codes.min() < 0:
+            return False
+        if types is not None:
+            self._judge(_distinct(codes), source.verdicts, types)
+            if source.verdicts.misfits and not source.verdicts.misfits.keys().isdisjoint(codes.tolist()):
+                return False
+        actions: list[tuple[int, tuple[int, ...]]] = []
+        known = source.verdicts.actions
+        for body in bodies[1::2]:
+            action = known.get(body)
+            if action is None:
+                found, problem = self._parsed_action(body, types)
+                if problem or found is None:
+                    return False
+                action = known[body] = found
+            actions.append(action)
+        columns = self._columns
+        trace, n_before = self._begin(source), len(columns.state_trace)
+        columns.state_trace += [trace] * len(states)
+        columns.is_partial += [False] * len(states)
+        columns.true_sizes += map(len, states)
+        columns.true_atoms.append(codes)
+        columns.false_sizes += [0] * len(states)
+        columns.action_state += range(n_before, n_before + len(actions))
+        columns.action_signature += [index for index, _ in actions]
+        columns.action_arguments += [arguments for _, arguments in actions]
+        return True
 
     def _sequence(self, source: "_Source", types: Mapping[int, str] | None) -> None:
         """States and actions in turn; a break starts a new trace."""
@@ -195,7 +261,7 @@ class TraceReader:
             (columns.true_sizes, columns.true_atoms, true),
             (columns.false_sizes, columns.false_atoms, false),
         ):
-            array = np.unique(np.fromiter(codes, dtype=np.int64))
+            array = np.fromiter(codes, dtype=np.int64)
             sizes.append(len(array))
             atoms.append(array)
 
@@ -229,20 +295,37 @@ class TraceReader:
         self, codes: list[int], item: _Item, source: "_Source", types: Mapping[int, str]
     ) -> list[int]:
         """Codes of atoms whose objects are declared and of the right types."""
-        unseen = set(codes).difference(source.verdicts)
-        if unseen:
-            keys = source.keys_of(self._codes.atoms)
-            for code in unseen:
-                source.verdicts[code] = self._misfit(keys[code], types)
-        misfits = source.misfits()
-        if not misfits or not misfits.intersection(codes):
+        self._judge(np.array(sorted(set(codes)), dtype=np.int64), source.verdicts, types)
+        misfits = source.verdicts.misfits
+        if not misfits or misfits.keys().isdisjoint(codes):
             return codes
-        for code in sorted(misfits.intersection(codes)):
-            source.fault(item.start, source.verdicts[code])
+        for code in sorted(misfits.keys() & set(codes)):
+            source.fault(item.start, misfits[code])
         return [code for code in codes if code not in misfits]
 
+    def _judge(self, codes: Codes, verdicts: "_Verdicts", types: Mapping[int, str]) -> None:
+        """Find atoms whose objects are undeclared or of the wrong type, among codes not judged before."""
+        n = len(self._codes.rows)
+        if len(verdicts.is_seen) < n:
+            verdicts.is_seen = np.r_[verdicts.is_seen, np.zeros(n - len(verdicts.is_seen), dtype=np.bool_)]
+        unseen = codes[~verdicts.is_seen[codes]]
+        if not len(unseen):
+            return
+        verdicts.is_seen[unseen] = True
+        if len(self._table) < n:
+            self._table = np.r_[
+                self._table, _padded(self._codes.rows[len(self._table) :], self._table.shape[1])
+            ]
+        kind_of = np.full(len(self._objects) + 1, len(self._kinds))
+        kind_of[list(types)] = [self._kinds[kind] for kind in types.values()]
+        rows = self._table[unseen]
+        # The column of a missing argument fits every kind; the row of an undeclared object fits nothing else.
+        is_fit = self._fits[kind_of[rows[:, 1:]], self._wanted[rows[:, 0]]].all(axis=1)
+        for code in unseen[~is_fit].tolist():
+            verdicts.misfits[code] = self._misfit(self._codes.rows[code], types)
+
     def _misfit(self, key: tuple[int, ...], types: Mapping[int, str]) -> str:
-        """What is wrong with an atom's objects; empty if nothing is."""
+        """What is wrong with an atom's objects."""
         signature = self.signatures.predicates[key[0]]
         for index, wanted in zip(key[1:], signature.argument_types, strict=True):
             kind = types.get(index)
@@ -253,10 +336,7 @@ class TraceReader:
         return ""
 
     def _is_subtype(self, kind: str, wanted: str) -> bool:
-        key = (kind, wanted)
-        if key not in self._fits:
-            self._fits[key] = wanted == ROOT or self.signatures.types.is_subtype(kind, wanted)
-        return self._fits[key]
+        return bool(self._fits[self._kinds[kind], self._kinds[wanted]])
 
     def _name(self, index: int) -> str:
         if len(self._names) < len(self._objects):
@@ -267,68 +347,88 @@ class TraceReader:
         self, item: _Item, source: "_Source", types: Mapping[int, str] | None
     ) -> tuple[int, tuple[int, ...]] | None:
         """The action's signature and objects, or nothing after telling the fault."""
-        leaves = _LEAF.findall(item.body)
-        words = leaves[0].lower().split() if len(leaves) == 1 else []
-        index, signature = self._actions.get(words[0] if words else "", (ABSENT, None))
-        if item.problem or not words:
-            source.fault(
-                item.start, item.problem or f"expected one (action object …), found {_short(item.body)!r}"
-            )
+        found, problem = self._parsed_action(item.body, types)
+        if item.problem or problem:
+            source.fault(item.start, item.problem or problem)
             return None
+        return found
+
+    def _parsed_action(
+        self, body: str, types: Mapping[int, str] | None
+    ) -> tuple[tuple[int, tuple[int, ...]] | None, str]:
+        """The action's signature and objects, or what is wrong with them."""
+        leaves = _LEAF.findall(body)
+        words = leaves[0].lower().split() if len(leaves) == 1 else []
+        if not words:
+            return None, f"expected one (action object …), found {_short(body)!r}"
+        index, signature = self._actions.get(words[0], (ABSENT, None))
         if signature is None:
             listed = ", ".join(sorted(each.name for each in self.signatures.actions)) or "none"
-            source.fault(item.start, f"unknown action {words[0]!r}; declared: {listed}")
-            return None
-        problem = _action_misfit(signature, words[1:])
-        if problem:
-            source.fault(item.start, problem)
-            return None
+            return None, f"unknown action {words[0]!r}; declared: {listed}"
+        wanted = len(signature.parameters)
+        if len(words) - 1 != wanted:
+            return None, f"action {signature.name!r} has {len(words) - 1} arguments; it takes {wanted}"
         codes = tuple(self._objects.setdefault(word, len(self._objects)) for word in words[1:])
-        if types is not None:
-            for code, parameter in zip(codes, signature.parameters, strict=True):
-                kind = types.get(code)
-                if kind is None:
-                    source.fault(
-                        item.start, f"undeclared object {self._name(code)!r} in action {signature.name!r}"
-                    )
-                    return None
-                if not self._is_subtype(kind, parameter.type_name):
-                    source.fault(
-                        item.start,
-                        f"object {self._name(code)!r} is a {kind}; {parameter.variable} of {signature.name!r}"
-                        f" takes a {parameter.type_name}",
-                    )
-                    return None
-        return index, codes
+        for code, parameter in zip(codes, signature.parameters, strict=True) if types is not None else ():
+            kind = types.get(code) if types is not None else None
+            if kind is None:
+                return None, f"undeclared object {self._name(code)!r} in action {signature.name!r}"
+            if not self._is_subtype(kind, parameter.type_name):
+                place = f"{parameter.variable} of {signature.name!r}"
+                return None, f"object {self._name(code)!r} is a {kind}; {place} takes a {parameter.type_name}"
+        return (index, codes), ""
 
     def note(self, file: str, line: int, problem: str) -> None:
         """Keep a fault; the same one again in the same file only counts."""
         first, n = self._faults.get((file, problem), (line, 0))
         self._faults[file, problem] = (first, n + 1)
 
-    def result(self) -> TraceSet:
-        """Everything read so far, as tables."""
-        columns = self._columns
+    @property
+    def n_pending(self) -> int:
+        """Atoms read since the last :meth:`take`, with repetitions: what memory is held for."""
+        return sum(map(len, self._columns.true_atoms))
+
+    def take(self) -> TraceSet:
+        """Everything read since the last call, as tables, and forget it.
+
+        Atoms and objects keep their codes: sets that one reader gave can be joined.
+        """
+        columns, self._columns = self._columns, _Columns()
+        n_atoms = max(len(self._codes.rows), 1)
         states = np.arange(len(columns.state_trace))
+        true = _distinct(np.repeat(states, columns.true_sizes) * n_atoms + _joined(columns.true_atoms))
+        false = _distinct(np.repeat(states, columns.false_sizes) * n_atoms + _joined(columns.false_atoms))
         return TraceSet(
             signatures=self.signatures,
             trace_names=tuple(columns.trace_names),
             object_names=tuple(self._objects),
-            atom_predicate=np.fromiter((key[0] for key in self._codes.atoms), dtype=np.int64),
-            atom_arguments=_padded([key[1:] for key in self._codes.atoms]),
+            atom_predicate=np.fromiter((key[0] for key in self._codes.rows), dtype=np.int64),
+            atom_arguments=_padded([key[1:] for key in self._codes.rows]),
             state_trace=np.array(columns.state_trace, dtype=np.int64),
             is_partial=np.array(columns.is_partial, dtype=np.bool_),
-            true_state=np.repeat(states, columns.true_sizes),
-            true_atom=_joined(columns.true_atoms),
-            false_state=np.repeat(states, columns.false_sizes),
-            false_atom=_joined(columns.false_atoms),
+            true_state=true // n_atoms,
+            true_atom=true % n_atoms,
+            false_state=false // n_atoms,
+            false_atom=false % n_atoms,
             action_state=np.array(columns.action_state, dtype=np.int64),
             action_signature=np.array(columns.action_signature, dtype=np.int64),
-            action_arguments=_padded(columns.action_arguments),
+            action_arguments=_padded(
+                columns.action_arguments,
+                max((len(each.parameters) for each in self.signatures.actions), default=0),
+            ),
             declared_trace=np.array(columns.declared_trace, dtype=np.int64),
             declared_object=np.array(columns.declared_object, dtype=np.int64),
             declared_type=tuple(columns.declared_type),
         )
+
+
+@dataclass
+class _Verdicts:
+    """What was found of atoms and actions under one set of declared objects."""
+
+    is_seen: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=np.bool_))
+    misfits: dict[int, str] = field(default_factory=dict)
+    actions: dict[str, tuple[int, tuple[int, ...]]] = field(default_factory=dict)
 
 
 class _Source:
@@ -339,25 +439,11 @@ class _Source:
         self.n_faults = 0
         self.is_partial = False
         self.types: dict[int, str] | None = None
-        self.verdicts: dict[int, str] = {}
-        self._misfits: tuple[int, set[int]] = (0, set())
-        self._keys: list[tuple[int, ...]] = []
+        self.verdicts = _Verdicts()
 
     def fault(self, position: int, problem: str) -> None:
         self.n_faults += 1
         self._reader.note(self.file, self.text.count("\n", 0, position) + 1, problem)
-
-    def keys_of(self, atoms: dict[tuple[int, ...], int]) -> list[tuple[int, ...]]:
-        if len(self._keys) < len(atoms):
-            self._keys = list(atoms)
-        return self._keys
-
-    def misfits(self) -> set[int]:
-        n_known, found = self._misfits
-        if n_known != len(self.verdicts):
-            found = {code for code, problem in self.verdicts.items() if problem}
-            self._misfits = (len(self.verdicts), found)
-        return found
 
     def items(self) -> Iterator[_Item]:
         """States and actions in order; what stands between them must be brackets that close."""
@@ -388,23 +474,25 @@ def _malformed(body: str, *, is_last: bool) -> str:
     return "" if missing == 0 else ("'(' is never closed" if missing > 0 else "')' without a '(' before it")
 
 
-def _action_misfit(signature: ActionSignature, words: list[str]) -> str:
-    wanted = len(signature.parameters)
-    if len(words) == wanted:
-        return ""
-    return f"action {signature.name!r} has {len(words)} arguments; it takes {wanted}"
-
-
 def _short(text: str) -> str:
     words = " ".join(text.split())
     return words if len(words) <= _MAX_TEXT else words[: _MAX_TEXT - 1] + "…"
+
+
+def _distinct(codes: Codes) -> Codes:
+    """Sorted, each once: by sorting, which for codes is several times as fast as hashing them."""
+    ordered = np.sort(codes)
+    is_new = np.ones(len(ordered), dtype=np.bool_)
+    is_new[1:] = ordered[1:] != ordered[:-1]
+    return ordered[is_new]
 
 
 def _joined(parts: list[Codes]) -> Codes:
     return np.concatenate(parts) if parts else np.zeros(0, dtype=np.int64)
 
 
-def _padded(rows: list[tuple[int, ...]]) -> NDArray[np.int64]:
-    widest = max(map(len, rows), default=0)
-    flat = [code for row in rows for code in (*row, *(ABSENT,) * (widest - len(row)))]
-    return np.array(flat, dtype=np.int64).reshape(len(rows), widest)
+def _padded(rows: list[tuple[int, ...]], widest: int = 0) -> NDArray[np.int64]:
+    widest = max(widest, max(map(len, rows), default=0))
+    padding = [(ABSENT,) * (widest - n) for n in range(widest + 1)]
+    flat = itertools.chain.from_iterable(row + padding[len(row)] for row in rows)
+    return np.fromiter(flat, dtype=np.int64, count=len(rows) * widest).reshape(len(rows), widest)

@@ -5,6 +5,7 @@ conditions and effects, whose faults should be told and stepped over; so only wh
 """
 
 import itertools
+import re
 from collections.abc import Iterator, Mapping
 
 from demoplan.errors import DataError, PddlError
@@ -13,6 +14,8 @@ from demoplan.language.domains import Parameter, Signature
 from demoplan.language.pddl.expressions import Expression, Node, Place, Word, read, shown
 from demoplan.language.traces.values import ActionSignature, Fault, Signatures
 from demoplan.language.types import ROOT, TypeHierarchy
+
+_OBJECTS = re.compile(r"\(\s*:objects\s[^()]*\)", re.IGNORECASE)
 
 
 class _Source:
@@ -172,6 +175,7 @@ def read_objects(text: str, file: str, signatures: Signatures) -> tuple[dict[str
     Raises:
         PddlError: If the text is not a PDDL problem at all.
     """
+    text = _only_objects(text)
     source = _Source(text, file)
     kinds = {name.lower(): name for name in (*signatures.types.names, ROOT)}
     objects: dict[str, str] = {}
@@ -184,6 +188,17 @@ def read_objects(text: str, file: str, signatures: Signatures) -> tuple[dict[str
                     continue
                 objects[source.name(name)] = kinds[kind.text] if kind is not None else ROOT
     return objects, tuple(source.faults)
+
+
+def _only_objects(text: str) -> str:
+    """The problem without its other sections, on the same lines; the whole of it if it has an unusual form.
+
+    The initial state of a noisy trace holds thousands of atoms that nobody asks for.
+    """
+    match = _OBJECTS.search(text)
+    if match is None or ";" in text or len(_OBJECTS.findall(text)) != 1:
+        return text
+    return "(define (problem p)" + "\n" * text.count("\n", 0, match.start()) + match[0] + ")"
 
 
 def render_strips(

@@ -1,6 +1,6 @@
 """What symbolic traces hold: signatures, states and actions as integer codes, and what was left out."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -96,3 +96,65 @@ class TraceSet:
     def n_actions(self) -> int:
         """Transitions of all traces together."""
         return len(self.action_state)
+
+    def select(self, first: Codes, last: Codes) -> "TraceSet":
+        """Some stretches of states, each a trace of its own; names, objects and atoms keep their codes.
+
+        Args:
+            first: First state of each stretch, ascending.
+            last: Its last state. All states of a stretch belong to one trace.
+        """
+        sizes = last - first + 1
+        kept = np.repeat(first - np.r_[0, np.cumsum(sizes)[:-1]], sizes) + np.arange(sizes.sum())
+        new_state = np.full(self.n_states + 1, ABSENT, dtype=np.int64)
+        new_state[kept] = np.arange(len(kept))
+        new_trace = np.repeat(np.arange(len(first)), sizes)
+        owner = self.state_trace[first]
+        is_true, is_false = new_state[self.true_state] >= 0, new_state[self.false_state] >= 0
+        before, after = new_state[self.action_state], new_state[self.action_state + 1]
+        is_inside = (before >= 0) & (after == before + 1)
+        is_inside[is_inside] = new_trace[before[is_inside]] == new_trace[after[is_inside]]
+        order = np.argsort(self.declared_trace, kind="stable")
+        low = np.searchsorted(self.declared_trace[order], owner, side="left")
+        n_declared = np.searchsorted(self.declared_trace[order], owner, side="right") - low
+        offset = low - np.r_[0, np.cumsum(n_declared)[:-1]]
+        declared = order[np.repeat(offset, n_declared) + np.arange(n_declared.sum())]
+        return replace(
+            self,
+            trace_names=tuple(self.trace_names[trace] for trace in owner),
+            state_trace=new_trace,
+            is_partial=self.is_partial[kept],
+            true_state=new_state[self.true_state[is_true]],
+            true_atom=self.true_atom[is_true],
+            false_state=new_state[self.false_state[is_false]],
+            false_atom=self.false_atom[is_false],
+            action_state=before[is_inside],
+            action_signature=self.action_signature[is_inside],
+            action_arguments=self.action_arguments[is_inside],
+            declared_trace=np.repeat(np.arange(len(first)), n_declared),
+            declared_object=self.declared_object[declared],
+            declared_type=tuple(self.declared_type[row] for row in declared),
+        )
+
+    def join(self, later: "TraceSet") -> "TraceSet":
+        """Both sets' traces; ``later`` was taken from the same reader, so that its codes go on from these."""
+
+        def chained(one: Codes, other: Codes, offset: int = 0) -> Codes:
+            return np.concatenate([one, other + offset])
+
+        return replace(
+            later,
+            trace_names=self.trace_names + later.trace_names,
+            state_trace=chained(self.state_trace, later.state_trace, len(self.trace_names)),
+            is_partial=np.concatenate([self.is_partial, later.is_partial]),
+            true_state=chained(self.true_state, later.true_state, self.n_states),
+            true_atom=chained(self.true_atom, later.true_atom),
+            false_state=chained(self.false_state, later.false_state, self.n_states),
+            false_atom=chained(self.false_atom, later.false_atom),
+            action_state=chained(self.action_state, later.action_state, self.n_states),
+            action_signature=chained(self.action_signature, later.action_signature),
+            action_arguments=chained(self.action_arguments, later.action_arguments),
+            declared_trace=chained(self.declared_trace, later.declared_trace, len(self.trace_names)),
+            declared_object=chained(self.declared_object, later.declared_object),
+            declared_type=self.declared_type + later.declared_type,
+        )

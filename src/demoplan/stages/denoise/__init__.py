@@ -5,7 +5,7 @@ changed a ground atom; ``chains`` follow each atom between its touches; ``belief
 ``implications`` leave out conditions that say nothing new; ``learning`` puts them into tables.
 """
 
-from demoplan.stages.denoise.learning import Denoised, denoise
+from demoplan.stages.denoise.learning import Denoised, Gathered, conclude, denoise, gather
 from demoplan.stages.denoise.params import DenoiseParams
 
-__all__ = ["DenoiseParams", "Denoised", "denoise"]
+__all__ = ["DenoiseParams", "Denoised", "Gathered", "conclude", "denoise", "gather"]

@@ -2,9 +2,9 @@
 
 A hypothesis says whether the literal is a condition (true, false or neither before) and what the action does
 to it (nothing, add, delete); for neither, also how often it happens to hold. Each touch tells its literals
-how well each hypothesis fits what came before and after, given what is believed of everything else; each literal
-adds up what its touches say. This is belief propagation on a graph whose loops are the literals that several
-touches share; damping settles it.
+how well each hypothesis fits what came before and after, given what is believed of everything else; each
+literal adds up what its touches say. This is belief propagation on a graph whose loops are the literals that
+several touches share; damping settles it.
 
 Source: Kschischang, Frey, Loeliger, Factor Graphs and the Sum-Product Algorithm, IEEE Trans. Information
 Theory 47(2), 2001, doi:10.1109/18.910572.

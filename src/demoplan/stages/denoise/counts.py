@@ -10,7 +10,6 @@ import numpy as np
 
 from demoplan.language.traces import TraceSet
 from demoplan.language.traces.values import Codes
-from demoplan.stages.denoise.params import DenoiseParams
 from demoplan.stages.denoise.touches import Candidate, GroundCodes
 
 _PIECE = 20_000
@@ -28,8 +27,28 @@ class Counts:
     n_transitions: Codes
     """Per action."""
 
+    def __add__(self, other: "Counts") -> "Counts":
+        """Counts over both."""
+        return Counts(
+            self.true_before + other.true_before,
+            self.false_before + other.false_before,
+            self.true_after + other.true_after,
+            self.false_after + other.false_after,
+            self.n_transitions + other.n_transitions,
+        )
 
-def count(traces: TraceSet, over: tuple[Candidate, ...], codes: GroundCodes, params: DenoiseParams) -> Counts:
+    def __sub__(self, other: "Counts") -> "Counts":
+        """Counts without what ``other`` counted."""
+        return Counts(
+            self.true_before - other.true_before,
+            self.false_before - other.false_before,
+            self.true_after - other.true_after,
+            self.false_after - other.false_after,
+            self.n_transitions - other.n_transitions,
+        )
+
+
+def count(traces: TraceSet, over: tuple[Candidate, ...], codes: GroundCodes) -> Counts:
     """Counts of all candidates over all transitions."""
     n_actions = len(traces.signatures.actions)
     out = np.zeros((4, len(over)), dtype=np.int64)
@@ -53,10 +72,8 @@ def count(traces: TraceSet, over: tuple[Candidate, ...], codes: GroundCodes, par
                 ]
                 atom = ordered.atom(codes.of(each.predicate, columns, len(piece)))
                 state = traces.action_state[piece]
-                out[0, index] += ordered.n_true(state, atom)
-                out[1, index] += ordered.n_false(state, atom)
-                out[2, index] += ordered.n_true(state + 1, atom)
-                out[3, index] += ordered.n_false(state + 1, atom)
+                out[0:2, index] += ordered.seen(state, atom)
+                out[2:4, index] += ordered.seen(state + 1, atom)
     return Counts(out[0], out[1], out[2], out[3], np.bincount(traces.action_signature, minlength=n_actions))
 
 
@@ -79,13 +96,12 @@ class _Observed:
         place = np.minimum(np.searchsorted(self.codes, code), len(self.codes) - 1)
         return np.where(self.codes[place] == code, self.order[place], self.n_atoms - 1)
 
-    def n_true(self, state: Codes, atom: Codes) -> int:
-        return int(_found(self.true, state * self.n_atoms + atom).sum())
-
-    def n_false(self, state: Codes, atom: Codes) -> int:
+    def seen(self, state: Codes, atom: Codes) -> tuple[int, int]:
+        """How many of the atoms were seen true, and how many false, each in its state."""
         key = state * self.n_atoms + atom
-        is_unlisted = ~self.is_partial[state] & ~_found(self.true, key)
-        return int((is_unlisted | _found(self.false, key)).sum())
+        is_true = _found(self.true, key)
+        is_false = (~self.is_partial[state] & ~is_true) | _found(self.false, key)
+        return int(is_true.sum()), int(is_false.sum())
 
 
 def _found(keys: Codes, wanted: Codes) -> np.ndarray:

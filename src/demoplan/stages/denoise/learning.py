@@ -6,8 +6,9 @@ import dataframely as dy
 import numpy as np
 import polars as pl
 
-from demoplan.language.atoms import Literal
+from demoplan.language.atoms import Atom, Literal
 from demoplan.language.traces import TraceSet
+from demoplan.language.traces.values import Codes
 from demoplan.stages.denoise.beliefs import ADD, DELETE, KEEP, Beliefs, believe
 from demoplan.stages.denoise.counts import Counts, count
 from demoplan.stages.denoise.implications import Implications, needed, snapshots
@@ -34,8 +35,6 @@ class Denoised:
 
     def actions(self) -> dict[str, tuple[frozenset[Literal], frozenset[Literal]]]:
         """Preconditions and effects of each operator, as far as they are stated."""
-        from demoplan.language.atoms import Atom  # noqa: PLC0415
-
         found: dict[str, tuple[set[Literal], set[Literal]]] = {
             name: (set(), set()) for name in self.operators["operator"]
         }
@@ -43,6 +42,39 @@ class Denoised:
             literal = Literal(Atom(row["predicate"], tuple(row["variables"])), row["is_positive"])
             found[row["operator"]][row["role"] == "effect"].add(literal)
         return {name: (frozenset(pre), frozenset(effects)) for name, (pre, effects) in found.items()}
+
+
+@dataclass(frozen=True, eq=False)
+class Gathered:
+    """What is kept of traces: counts over all of them, and as many of their spans as learning needs.
+
+    Its size does not grow with the number of traces once every action has enough instances.
+    """
+
+    sample: TraceSet
+    counts: Counts
+    n_episodes: Codes
+    """Per action, traces with an instance of it."""
+
+
+def gather(
+    traces: TraceSet, params: DenoiseParams = DenoiseParams(), so_far: Gathered | None = None
+) -> Gathered:
+    """Add traces to what was gathered from others of the same reader.
+
+    While no action has ``max_instances`` instances, everything is kept and the order of arrival does not
+    matter to what is learned; later traces are counted, and kept where they show an action still rare.
+    """
+    over = candidates(traces.signatures)
+    counts = count(traces, over, GroundCodes(traces))
+    n_actions = len(traces.signatures.actions)
+    n_sampled = None if so_far is None else np.bincount(so_far.sample.action_signature, minlength=n_actions)
+    chosen = spans(traces, params, n_sampled)
+    sample = traces.select(chosen.first, chosen.last)
+    n_episodes = _n_episodes(traces)
+    if so_far is None:
+        return Gathered(sample, counts, n_episodes)
+    return Gathered(so_far.sample.join(sample), so_far.counts + counts, so_far.n_episodes + n_episodes)
 
 
 def denoise(traces: TraceSet, params: DenoiseParams = DenoiseParams()) -> Denoised:
@@ -56,62 +88,72 @@ def denoise(traces: TraceSet, params: DenoiseParams = DenoiseParams()) -> Denois
         Operators and literals; an action without an instance gives no operator. Beliefs come from at most
         ``max_instances`` instances per action and what stands around them; counts come from all.
     """
+    return conclude(gather(traces, params), params)
+
+
+def conclude(gathered: Gathered, params: DenoiseParams = DenoiseParams()) -> Denoised:
+    """Learn from what was gathered; see :func:`denoise`."""
+    traces = gathered.sample
     over = candidates(traces.signatures)
     codes = GroundCodes(traces)
     chosen = spans(traces, params)
     touches = touch(traces, chosen, over, codes)
     beliefs = believe(touches, over, len(traces.signatures.predicates), params)
-    counts = count(traces, over, codes, params)
-    n_instances = np.bincount(traces.action_signature, minlength=len(traces.signatures.actions))
     implications = None
-    if params.is_minimal and len(chosen.first):
-        implications = Implications(
-            traces, snapshots(traces, chosen, touches, beliefs, codes, params), codes, params
-        )
+    if params.is_minimal and len(touches.entry_touch):
+        seen = snapshots(traces, chosen, touches, beliefs, codes, params)
+        implications = Implications(traces, seen, codes, params)
     by_action: dict[int, list[int]] = {}
     for index, each in enumerate(over):
         by_action.setdefault(each.action, []).append(index)
     rows: list[dict[str, object]] = []
     for action, indices in sorted(by_action.items()):
-        if n_instances[action]:
-            rows += _literals(traces, over, indices, beliefs, counts, implications)
-    name_of = {row[0]: row for row in enumerate(traces.signatures.predicates)}
+        if gathered.counts.n_transitions[action]:
+            rows += _literals(traces, over, indices, beliefs, gathered.counts, implications)
+    rates = zip(beliefs.rates.missed.tolist(), beliefs.rates.imagined.tolist(), strict=True)
+    names = [each.name for each in traces.signatures.predicates]
     return Denoised(
-        operators=_operators(traces, n_instances),
+        operators=_operators(gathered),
         literals=Literals.validate(_frame(Literals, rows), cast=True),
-        flip_rates={
-            each.name: (float(beliefs.rates.missed[n]), float(beliefs.rates.imagined[n]))
-            for n, each in name_of.values()
-        },
+        flip_rates=dict(zip(names, rates, strict=True)),
         flip_rate=beliefs.flip_rate,
         n_rounds=beliefs.n_rounds,
         is_settled=beliefs.is_settled,
     )
 
 
+def _n_episodes(traces: TraceSet) -> Codes:
+    names = {name: n for n, name in enumerate(dict.fromkeys(traces.trace_names))}
+    episode = np.array([names[name] for name in traces.trace_names], dtype=np.int64)
+    n_actions = len(traces.signatures.actions)
+    if not traces.n_actions:
+        return np.zeros(n_actions, dtype=np.int64)
+    pair = episode[traces.state_trace[traces.action_state]] * n_actions + traces.action_signature
+    return np.bincount(np.unique(pair) % n_actions, minlength=n_actions)
+
+
 def _frame(schema: type[dy.Schema], rows: list[dict[str, object]]) -> pl.DataFrame:
     return pl.DataFrame(rows, schema={name: column.dtype for name, column in schema.columns().items()})
 
 
-def _operators(traces: TraceSet, n_instances: np.ndarray) -> dy.DataFrame[Operators]:
+def _operators(gathered: Gathered) -> dy.DataFrame[Operators]:
     rows: list[dict[str, object]] = []
-    action_trace = traces.state_trace[traces.action_state]
-    for index, action in enumerate(traces.signatures.actions):
-        if not n_instances[index]:
+    for index, action in enumerate(gathered.sample.signatures.actions):
+        n = int(gathered.counts.n_transitions[index])
+        if not n:
             continue
-        names = {traces.trace_names[n] for n in np.unique(action_trace[traces.action_signature == index])}
+        parameters = [{"variable": each.variable, "type": each.type_name} for each in action.parameters]
         rows.append(
             {
                 "operator": action.name,
                 "activity": action.name,
-                "parameters": [
-                    {"variable": each.variable, "type": each.type_name} for each in action.parameters
-                ],
-                "n_transitions": int(n_instances[index]),
-                "n_episodes": len(names),
+                "parameters": parameters,
+                "n_transitions": n,
+                "n_episodes": int(gathered.n_episodes[index]),
                 "n_successes": 0,
                 "n_failures": 0,
-                "beta": (int(n_instances[index]) + 1) / (int(n_instances[index]) + 2),
+                # Every trace shows what succeeded; Laplace's rule of succession.
+                "beta": (n + 1) / (n + 2),
                 "cost": 1,
                 "is_quarantined": False,
                 "note": None,

@@ -46,7 +46,7 @@ class DenoiseParams:
     """Rounds end when no belief moves by more than this."""
     max_span_states: int = 512
     """Longer traces are cut into spans of this many states, each on its own: bounds time and memory."""
-    max_instances: int = 3_000
+    max_instances: int = 1_500
     """Spans are taken in order, as long as one of their actions has fewer instances than this."""
     is_minimal: bool = True
     """Leave out conditions that others imply in everything seen."""

@@ -119,8 +119,14 @@ def candidates(signatures: Signatures) -> tuple[Candidate, ...]:
     return tuple(found)
 
 
-def spans(traces: TraceSet, params: DenoiseParams) -> Spans:
-    """Spans of bounded length, in order, as many as the actions need."""
+def spans(traces: TraceSet, params: DenoiseParams, n_before: Codes | None = None) -> Spans:
+    """Spans of bounded length, in order, as many as the actions need.
+
+    Args:
+        traces: Traces to choose from.
+        params: How long spans may be, and how many instances of an action are enough.
+        n_before: Per action, instances that were chosen already.
+    """
     if traces.n_states == 0:
         return Spans(np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64))
     states = np.arange(traces.n_states)
@@ -131,10 +137,13 @@ def spans(traces: TraceSet, params: DenoiseParams) -> Spans:
     owner = np.searchsorted(first, traces.action_state, side="right") - 1
     # How many instances of the same action came before each one.
     order = np.argsort(traces.action_signature, kind="stable")
-    sizes = np.bincount(traces.action_signature)
+    n_actions = len(traces.signatures.actions)
+    sizes = np.bincount(traces.action_signature, minlength=n_actions)
     seen = np.empty(traces.n_actions, dtype=np.int64)
     seen[order] = np.arange(traces.n_actions) - np.repeat(np.cumsum(sizes) - sizes, sizes)
     is_needed = np.zeros(len(first), dtype=np.bool_)
+    if n_before is not None:
+        seen += n_before[traces.action_signature]
     is_needed[owner[seen < params.max_instances]] = True
     return Spans(first[is_needed], last[is_needed])
 
