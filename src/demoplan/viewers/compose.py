@@ -30,7 +30,7 @@ def compose_episode(tables: EpisodeTables, params: EpisodeViewParams | None = No
         raise UnknownNameError(
             "episode", tables.episode_id, tables.frames["episode_id"].unique(), "the frames"
         )
-    start_ns, end_ns = _span(frames)
+    start_ns, end_ns, tick_ns = _span(frames)
     known = {entity.name: entity for entity in tables.entities}
     names = sorted({*frames["entity"].unique(), *(e.name for e in tables.entities if e.fixed_position_xyz_m)})
     entities = [
@@ -51,7 +51,7 @@ def compose_episode(tables: EpisodeTables, params: EpisodeViewParams | None = No
         start_ns=start_ns,
         end_ns=end_ns,
         bodies=bodies,
-        trails=tuple(trail_of(body, frames, params) for body in hands),
+        trails=tuple(trail_of(body, tick_ns, params) for body in hands),
         trail_ns=params.trail_ns,
         contacts=contacts_of(facts, bodies, params),
         hand_lanes=hand_lanes_of(activities, truth, evidence),
@@ -75,9 +75,9 @@ def _of_episode(table: pl.DataFrame | None, episode_id: str) -> pl.DataFrame | N
     return None if table is None else table.filter(pl.col("episode_id") == episode_id)
 
 
-def _span(frames: pl.DataFrame) -> tuple[int, int]:
-    """First tick, and one tick beyond the last."""
+def _span(frames: pl.DataFrame) -> tuple[int, int, int]:
+    """First tick, the tick after the last, and the time between ticks."""
     ticks = frames["tick_ns"].unique().sort()
-    last = int(ticks[-1])
-    step = last - int(ticks[-2]) if len(ticks) > 1 else 1
-    return int(ticks[0]), last + step
+    first, last = int(ticks[0]), int(ticks[-1])
+    tick = int(ticks[1]) - first if len(ticks) > 1 else 1
+    return first, last + tick, tick

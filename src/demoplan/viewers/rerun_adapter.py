@@ -47,11 +47,19 @@ def write_recording(view: EpisodeView, path: Path) -> None:
 
     The recording's id is the episode's id, so that further files of the same episode open as layers of it.
     """
-    with rr.RecordingStream(APPLICATION, recording_id=view.episode_id, send_properties=False) as recording:
-        recording.save(str(path), default_blueprint=_blueprint(view))
-        _send(view, recording)
-        recording.flush()
-        recording.disconnect()
+    # Without strict mode, what rerun cannot take becomes a warning and is missing from the recording.
+    was_strict = rr.strict_mode()
+    rr.set_strict_mode(True)
+    try:
+        with rr.RecordingStream(
+            APPLICATION, recording_id=view.episode_id, send_properties=False
+        ) as recording:
+            recording.save(str(path), default_blueprint=_blueprint(view))
+            _send(view, recording)
+            recording.flush()
+            recording.disconnect()
+    finally:
+        rr.set_strict_mode(was_strict)
 
 
 def show(path: Path, *, url: str | None = None) -> None:

@@ -89,12 +89,11 @@ def where_things_happen(bodies: Sequence[Body]) -> tuple[tuple[float, float, flo
     )
 
 
-def trail_of(body: Body, frames: pl.DataFrame, params: EpisodeViewParams) -> Segments:
-    """Lines between successive sightings of a hand; none across a gap."""
+def trail_of(body: Body, tick_ns: int, params: EpisodeViewParams) -> Segments:
+    """Lines between successive sightings of a hand; none across a gap, which is longer than two ticks."""
     kept = _every(body.ticks_ns, params.trail_step_ns)
     ticks = body.ticks_ns[kept]
     points = body.positions_xyz_m[kept]
-    tick_ns = int(np.diff(frames["tick_ns"].unique().sort().to_numpy()[:2])[0]) if len(frames) > 1 else 1
     is_near = np.diff(ticks) <= max(params.trail_step_ns, tick_ns) * 2
     lines = np.stack((points[:-1], points[1:]), axis=1)[is_near]
     return Segments(
