@@ -233,8 +233,9 @@ def _advice(literal: Literal, domain: Domain) -> str:
         return f"no operator ever {verb} {literal.atom.predicate}: demonstrate an activity that {verb} it"
     what = "adding" if literal.is_positive else "removing"
     has_to = "holds" if literal.is_positive else "ceases to hold"
+    listed = " or ".join(makers)
     return (
-        f"{what} {literal.atom.predicate} takes {' or '.join(makers)}, which cannot be had in time from here: "
+        f"{what} {literal.atom.predicate} takes {listed}, which cannot be had in time from here: "
         f"demonstrate how {literal.atom} {has_to}"
     )
 

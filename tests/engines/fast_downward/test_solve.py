@@ -18,6 +18,8 @@ from demoplan.engines.fast_downward import (
     solve_widening,
 )
 from demoplan.engines.fast_downward import solve as solve_function
+from demoplan.engines.fast_downward.outcomes import verdict_of_translator
+from demoplan.engines.fast_downward.processes import Ended
 from demoplan.language.atoms import Atom, Literal
 from demoplan.language.domains import Domain, Operator, Parameter, Problem, Signature, Step
 from demoplan.language.execution import execute, ground, unmet
@@ -170,10 +172,12 @@ def test_a_value_that_is_not_pddl_is_an_outcome(stacking, towers):
 
 def test_text_that_the_translator_refuses_is_an_outcome(planner, stacking, towers):
     text = render_problem(towers(["a"], ["b"], goal="onTop(a, b)"), stacking)
-    for broken in (text.replace("(on_top a b)", "(on_top a"), text.replace("(:goal", "(:gaol"), ""):
+    for broken in (text.replace("(on_top a b)", "(on_top a"), text.replace("(:goal", "(:gaol")):
         verdict = solve_text(render_domain(stacking), broken).verdict
-        assert verdict.outcome in {"bad_input", "failed"}
-        assert verdict.meaning
+        assert (verdict.outcome, verdict.is_explained) == ("bad_input", True)
+        assert "the translator refused the PDDL text: " in verdict.meaning
+    verdict = solve_text(render_domain(stacking), "").verdict
+    assert (verdict.outcome, verdict.is_explained) == ("failed", False), "it ends with a traceback of its own"
 
 
 def test_a_missing_planner_is_an_outcome_with_a_hint(stacking, towers, monkeypatch):
@@ -231,9 +235,33 @@ def test_when_the_cheapest_plan_takes_too_long_any_plan_will_do(planner, stackin
 
 def test_too_little_memory_is_an_outcome(planner, stacking, towers):
     problem = towers(*([f"cube_{n}"] for n in range(4)), goal="onTop(cube_0, cube_1)")
-    attempt = solve(stacking, problem, SolveParams(memory_bytes=8 * 1024**2))
+    attempt = solve(stacking, problem, SolveParams(memory_bytes=20 * 1024**2))
+    # Whether Python itself still starts with so little depends on its version.
     assert attempt.outcome in {"out_of_memory", "failed"}
     assert attempt.plan is None
+
+
+@pytest.mark.parametrize(
+    ("exit_code", "output", "outcome", "is_explained"),
+    [
+        (1, "Traceback …\nMemoryError\nNameError: …", "out_of_memory", True),
+        (1, "Traceback …\nStopIteration", "failed", False),
+        (2, "", "failed", False),
+        (10, "", "unsolvable", True),
+        (20, "", "out_of_memory", True),
+        (21, "", "out_of_time", True),
+        (31, "Missing ')'", "bad_input", True),
+        (-9, "", "failed", False),
+    ],
+)
+def test_exits_of_the_translator_mean_what_they_say(exit_code, output, outcome, is_explained):
+    verdict = verdict_of_translator(Ended(exit_code, False, 0.1, output))
+    assert (verdict.outcome, verdict.is_explained) == (outcome, is_explained)
+
+
+def test_a_translator_that_succeeds_has_no_verdict_yet_and_one_out_of_time_has():
+    assert verdict_of_translator(Ended(0, False, 0.1, "")) is None
+    assert verdict_of_translator(Ended(-9, True, 3.0, "")).outcome == "out_of_time"
 
 
 def test_attempts_are_rows_of_the_table_of_plans(planner, stacking, towers):

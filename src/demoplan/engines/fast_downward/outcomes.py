@@ -68,6 +68,9 @@ def verdict_of_translator(ended: Ended) -> Verdict | None:
 def _verdict(ended: Ended, program: str) -> Verdict:
     if ended.is_timeout:
         return Verdict("out_of_time", True, f"the {program} was ended after {ended.wall_s:.1f} s")
+    if program == "translator" and ended.exit_code == 1 and "MemoryError" in ended.output:
+        # Its own handler for this can fail for want of memory, and then it ends as any broken program does.
+        return Verdict("out_of_memory", True, "the translator ran out of memory")
     known = _MEANINGS.get(ended.exit_code)
     # Codes below 10 speak of plans, which the translator does not make: from it they explain nothing.
     if known is None or (program == "translator" and known[0] == "solved"):

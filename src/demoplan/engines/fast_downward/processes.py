@@ -56,6 +56,7 @@ def run_limited(
     """
     log = folder / "output.txt"
     start = time.monotonic()
+    is_timeout = False
     with log.open("wb") as output, (stdin or Path(os.devnull)).open("rb") as source:
         process = subprocess.Popen(
             [str(part) for part in command],
@@ -66,7 +67,6 @@ def run_limited(
             stderr=subprocess.STDOUT,
             start_new_session=True,
         )
-        is_timeout = False
         try:
             _limit(process.pid, wall_s, memory_bytes)
             is_timeout = not _has_ended(process, wall_s)
