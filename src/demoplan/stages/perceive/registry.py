@@ -33,7 +33,7 @@ DEFINITIONS: dict[str, Definition] = {
     "rests_on": Definition(
         function=support.rests_on, arity=2, numbers=("enter_m", "exit_m", "footprint_margin_m")
     ),
-    "nothing_on": Definition(function=support.nothing_on, arity=1, needs=("rests_on",)),
+    "nothing_on": Definition(function=support.nothing_on, arity=1, needs=("rests_on", "held")),
     "hand_open": Definition(function=hands.hand_open, arity=1, numbers=("enter_fraction", "exit_fraction")),
     "moving": Definition(function=hands.moving, arity=1, numbers=("enter_m_per_s", "exit_m_per_s")),
     "held": Definition(

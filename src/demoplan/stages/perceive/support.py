@@ -64,13 +64,17 @@ def rests_on(bodies: Bodies, groundings: Groundings, numbers: Numbers, _: dict[s
 
 
 def nothing_on(bodies: Bodies, groundings: Groundings, _: Numbers, known: dict[str, Known]) -> Evidence:
-    """No body rests on x: something can be put on it. Unknown where only unseen bodies could."""
-    resting = known["rests_on"]
+    """No body rests on x and no hand holds it: something can be put on it, and a hand can take it.
+
+    A held body is not free even if it rests somewhere: the hand is where the next body would go. Unknown where
+    only unseen bodies could cover or hold it.
+    """
     parts = []
-    for (support,) in groundings:
-        riders = [codes for pair, codes in resting.codes.items() if pair[1] == support]
-        all_codes = np.stack(riders) if riders else np.full((1, len(bodies.tick_ns)), FALSE)
-        is_covered = (all_codes == TRUE).any(axis=0)
-        is_open = ~is_covered & ~(all_codes == UNKNOWN).any(axis=0)
-        parts.append((is_open, is_open, is_open | is_covered))
+    for (thing,) in groundings:
+        takers = [codes for pair, codes in known["rests_on"].codes.items() if pair[1] == thing]
+        takers += [codes for pair, codes in known["held"].codes.items() if pair[1] == thing]
+        all_codes = np.stack(takers) if takers else np.full((1, len(bodies.tick_ns)), FALSE)
+        is_taken = (all_codes == TRUE).any(axis=0)
+        is_free = ~is_taken & ~(all_codes == UNKNOWN).any(axis=0)
+        parts.append((is_free, is_free, is_free | is_taken))
     return stacked(parts, len(bodies.tick_ns))
