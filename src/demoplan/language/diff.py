@@ -1,10 +1,14 @@
 """What changed between two domains: as rows, and in words."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import TypeAlias
 
 from demoplan.language.atoms import Literal
 from demoplan.language.domains import Domain, Operator
+
+Support: TypeAlias = Mapping[tuple[str, str, str], tuple[int, int]]
+"""(operator, ``precondition`` or ``effect``, literal) → transitions that show it, and the opposite."""
 
 ADDED, REMOVED, CHANGED = "added", "removed", "changed"
 
@@ -16,8 +20,8 @@ class Change:
     operator: str
     """Name in the newer domain; in the older one for an operator that is gone."""
     subject: str
-    """``operator``, ``name``, ``parameters``, ``precondition``, ``effect``, ``count``, ``cost``, ``type``,
-    ``predicate``."""
+    """``operator``, ``name``, ``parameters``, ``precondition``, ``effect``, ``support …``, ``count``,
+    ``cost``, ``type`` or ``predicate``."""
     kind: str
     """``added``, ``removed`` or ``changed``."""
     old: str = ""
@@ -33,15 +37,19 @@ class Change:
         return f"{self.subject}{of} {self.kind}: {self.new or self.old}"
 
 
-def diff(old: Domain, new: Domain) -> tuple[Change, ...]:
+def diff(
+    old: Domain, new: Domain, old_support: Support | None = None, new_support: Support | None = None
+) -> tuple[Change, ...]:
     """Every difference between two domains, in canonical order; none if they say the same.
 
-    Operators are numbered by how often they were seen, so that a name may stand for another operator in another
+    Operators are numbered by how often they were seen, so that a name may stand for another one in another
     version. They are therefore matched by what they say: within an activity, the most alike first.
 
     Args:
         old: The earlier version.
         new: The later one.
+        old_support: Counts behind the earlier one's literals, if they are to be compared.
+        new_support: The same of the later one.
     """
     changes: list[Change] = []
     changes += _of_sets("", "type", _type_texts(old), _type_texts(new))
@@ -49,6 +57,8 @@ def diff(old: Domain, new: Domain) -> tuple[Change, ...]:
     pairs = _matched(old.operators, new.operators)
     for before, after in pairs:
         changes += _of_operator(before, after)
+        if old_support is not None and new_support is not None:
+            changes += _of_support(before, after, old_support, new_support)
     known_old = {before.name for before, _ in pairs}
     known_new = {after.name for _, after in pairs}
     changes += [
@@ -136,6 +146,21 @@ def _of_operator(old: Operator, new: Operator) -> list[Change]:
             changes.append(Change(new.name, subject, CHANGED, before, after))
     changes += _of_sets(new.name, "precondition", _texts(old.preconditions), _texts(new.preconditions))
     changes += _of_sets(new.name, "effect", _texts(old.effects), _texts(new.effects))
+    return changes
+
+
+def _of_support(old: Operator, new: Operator, old_support: Support, new_support: Support) -> list[Change]:
+    changes = []
+    for role, stated in (
+        ("precondition", old.preconditions & new.preconditions),
+        ("effect", old.effects & new.effects),
+    ):
+        for literal in sorted(stated):
+            before = old_support.get((old.name, role, str(literal)), (0, 0))
+            after = new_support.get((new.name, role, str(literal)), (0, 0))
+            if before != after:
+                texts = (f"{right} for, {wrong} against" for right, wrong in (before, after))
+                changes.append(Change(new.name, f"support of {role} {literal}", CHANGED, *texts))
     return changes
 
 

@@ -11,6 +11,18 @@ from demoplan.language.types import TypeHierarchy
 from demoplan.tables import Literals, Operators
 
 
+def support_of(literals: dy.DataFrame[Literals]) -> dict[tuple[str, str, str], tuple[int, int]]:
+    """Counts for and against each stated literal, by operator, role and the literal's text."""
+    return {
+        (
+            row["operator"],
+            row["role"],
+            str(Literal(Atom(row["predicate"], tuple(row["variables"])), row["is_positive"])),
+        ): (row["n_support"], row["n_against"])
+        for row in literals.filter(pl.col("is_kept")).iter_rows(named=True)
+    }
+
+
 def compose(
     operators: dy.DataFrame[Operators],
     literals: dy.DataFrame[Literals],

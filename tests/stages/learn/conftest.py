@@ -168,7 +168,7 @@ def demonstrate(episode_id, moves, hand, seed, habits=Habits(), start=None):
             rec.set(t + 0.01, "handMove", hand, on=False)
             t += rng.uniform(0.3, 0.8)
     end = t
-    others = [cube for cube in CUBES]
+    others = list(CUBES)
     for _ in range(int(habits.bystander * 20)):
         at, cube = rng.uniform(0, end), rng.choice(others)
         atom = rng.choice(
@@ -203,8 +203,8 @@ def _tables(episode_id, rec, hand, end_s):
     activities.append((episode_id, other, _ns(activities[0][2] / 1e9), _ns(end_s), "Idle", None, None))
     facts = []
     begun = {}
-    for at, is_on, atom in sorted(rec.events, key=lambda event: event[:2]):
-        at = min(max(at, activities[0][2] / 1e9), end_s)
+    for event_s, is_on, atom in sorted(rec.events, key=lambda event: event[:2]):
+        at = min(max(event_s, activities[0][2] / 1e9), end_s)
         if is_on:
             begun.setdefault(atom, at)
         elif atom in begun:

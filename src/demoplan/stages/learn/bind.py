@@ -31,12 +31,11 @@ def bind_roles(data: Encoded, settled: Settled, params: LearnParams) -> Bindings
     roles = np.full((data.n, len(ROLES)), NOBODY, dtype=np.int64)
     roles[:, HAND] = data.hand
     roles[:, OBJECT] = settled.manipulated
-    supports = np.array([data.predicate_code(name) for name in params.supports], dtype=np.int64)
+    states = data.true.only(data.has_predicate(*params.supports))
     resting: list[Ints] = []
     for side in (0, 1):
-        row, atom = data.true.gather(settled.support_source[:, side])
-        is_rest = np.isin(data.atom_predicate[atom], supports)
-        is_rest &= data.atom_arguments[atom, 0] == settled.manipulated[row]
+        row, atom = states.gather(settled.support_source[:, side])
+        is_rest = data.atom_arguments[atom, 0] == settled.manipulated[row]
         row, support = row[is_rest], data.atom_arguments[atom[is_rest]][:, 1:2].reshape(-1)
         resting.append(np.unique(row * len(data.names) + support))
     lost, gained = np.setdiff1d(resting[0], resting[1]), np.setdiff1d(resting[1], resting[0])

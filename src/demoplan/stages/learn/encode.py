@@ -29,6 +29,13 @@ class States:
     offsets: Ints
     atoms: Ints
 
+    def only(self, is_wanted: NDArray[np.bool_]) -> "States":
+        """The same states with none but the wanted atoms; ``is_wanted`` says which by atom code."""
+        keep = is_wanted[self.atoms]
+        return States(
+            np.concatenate([np.zeros(1, dtype=np.int64), np.cumsum(keep)])[self.offsets], self.atoms[keep]
+        )
+
     def gather(self, states: Ints) -> tuple[Ints, Ints]:
         """Which of ``states`` (by position) each atom belongs to, and the atom's code."""
         first = self.offsets[states]
@@ -46,6 +53,7 @@ class Encoded:
     """The transitions themselves in that order, without their states."""
     sequence: Ints
     """Which (episode, hand) each belongs to, shape (n,); rows of one sequence follow each other."""
+    duration_ns: Ints
     is_first: NDArray[np.bool_]
     """No activity of its hand came before."""
     activity: Ints
@@ -69,6 +77,10 @@ class Encoded:
     """Instance codes, shape (n atoms, most arguments), padded with ``NOBODY``."""
     true: States
     unknown: States
+
+    def has_predicate(self, *names: str) -> NDArray[np.bool_]:
+        """Whether each atom, by code, is of one of these predicates."""
+        return np.isin(self.atom_predicate, [self.predicate_code(name) for name in names])
 
     @property
     def n(self) -> int:
@@ -131,7 +143,7 @@ def encode(
         types.require(name)
     type_names = objects["type"].unique().sort()
     widest = max((len(atom.arguments) for atom in atoms), default=0)
-    arguments = np.full((len(atoms), max(widest, 1)), NOBODY, dtype=np.int64)
+    arguments = np.full((len(atoms), max(widest, 2)), NOBODY, dtype=np.int64)
     for row, atom in enumerate(atoms):
         for column, name in enumerate(atom.arguments):
             arguments[row, column] = code_of[name]
@@ -146,6 +158,7 @@ def encode(
     return Encoded(
         table=table.drop("before", "after", "unknown_before", "unknown_after", "objects"),
         sequence=changed.fill_null(True).cum_sum().to_numpy().astype(np.int64),
+        duration_ns=(table["end_ns"] - table["start_ns"]).to_numpy(),
         is_first=changed.fill_null(True).to_numpy() & has_no_arguments.to_numpy(),
         activity=_codes(table["activity"], activities),
         activities=tuple(activities),

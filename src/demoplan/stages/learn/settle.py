@@ -85,8 +85,9 @@ def _holding(data: Encoded, params: LearnParams) -> Ints:
     holds = np.full(2 * data.n, GAP, dtype=np.int64)
     holding, empty = data.predicate_code(params.holding), data.predicate_code(params.empty)
     every = np.arange(2 * data.n)
+    wanted = data.has_predicate(params.holding, params.empty)
     for states, is_known in ((data.unknown, False), (data.true, True)):
-        state, atom = states.gather(every)
+        state, atom = states.only(wanted).gather(every)
         predicate, subject = data.atom_predicate[atom], data.atom_arguments[atom, 0]
         own = subject == data.hand[state // 2]
         is_empty = own & (predicate == empty)
@@ -136,8 +137,12 @@ def _next(values: Ints, sequence: Ints) -> Ints:
 def _approached(data: Encoded, instances: Ints) -> NDArray[np.bool_]:
     """Whether some relation between the row's hand and its instance begins to hold; shape (n,)."""
     keys = []
+    has_hand: NDArray[np.bool_] = np.isin(data.atom_arguments, np.unique(data.hand)).max(
+        axis=1, initial=False
+    )
+    states = data.true.only(has_hand)
     for side in (0, 1):
-        row, atom = data.true.gather(2 * np.arange(data.n) + side)
+        row, atom = states.gather(2 * np.arange(data.n) + side)
         arguments = data.atom_arguments[atom]
         with_hand = (arguments == data.hand[row][:, None]).any(axis=1)
         with_instance = (arguments == instances[row][:, None]).any(axis=1) & (instances[row] != NOBODY)
@@ -152,19 +157,15 @@ def _approached(data: Encoded, instances: Ints) -> NDArray[np.bool_]:
 def _resting(data: Encoded, manipulated: Ints, holds: Ints, params: LearnParams) -> Ints:
     """What the manipulated object rests on (one thing), before and after: a code, a gap, or unseen."""
     rests = np.full(2 * data.n, GAP, dtype=np.int64)
-    supports = np.array([data.predicate_code(name) for name in params.supports], dtype=np.int64)
-    state, atom = data.true.gather(np.arange(2 * data.n))
-    is_rest = np.isin(data.atom_predicate[atom], supports) & (
-        data.atom_arguments[atom, 0] == manipulated[state // 2]
-    )
+    supports = data.has_predicate(*params.supports)
+    state, atom = data.true.only(supports).gather(np.arange(2 * data.n))
+    is_rest = data.atom_arguments[atom, 0] == manipulated[state // 2]
     rests[state[is_rest]] = data.atom_arguments[atom[is_rest], 1]
     sides = rests.reshape(-1, 2)
     sides[manipulated == NOBODY] = _UNSEEN
     # An object that nobody holds and whose support was not observed is not in the air: leave it.
-    state, atom = data.unknown.gather(np.arange(2 * data.n))
-    is_unseen = np.isin(data.atom_predicate[atom], supports) & (
-        data.atom_arguments[atom, 0] == manipulated[state // 2]
-    )
+    state, atom = data.unknown.only(supports).gather(np.arange(2 * data.n))
+    is_unseen = data.atom_arguments[atom, 0] == manipulated[state // 2]
     unseen = np.zeros(2 * data.n, dtype=bool)
     unseen[state[is_unseen]] = True
     loose = unseen.reshape(-1, 2) & (sides == GAP) & (holds != manipulated[:, None])
@@ -219,10 +220,7 @@ def _grip_preference(data: Encoded, run: range, old: int, new: int) -> list[tupl
 
 def _carry_preference(data: Encoded, holds: Ints, run: range, new: int) -> list[tuple[int, ...]]:
     """What acts on the new support, else carries throughout, else is of the kind that carries longest."""
-    span = (
-        data.table["end_ns"][run.start : run.stop].to_numpy()
-        - data.table["start_ns"][run.start : run.stop].to_numpy()
-    )
+    span = data.duration_ns[run.start : run.stop]
     activity = data.activity[run.start : run.stop]
     carried = (holds[run.start : run.stop] >= 0).sum(axis=1)
     total = [int(span[activity == code].sum()) for code in activity]
