@@ -6,7 +6,7 @@ import subprocess
 import numpy as np
 import polars as pl
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from rerun.chunk import RrdReader
 
@@ -296,6 +296,7 @@ def test_what_was_never_seen_is_not_drawn(sources, facts):
     assert np.isfinite(view.contacts.lines_xyz_m).all()
 
 
+@settings(deadline=None)
 @given(
     st.lists(st.tuples(st.integers(0, 3), st.integers(1, 5), st.sampled_from("abc")), min_size=1, max_size=12)
 )

@@ -293,11 +293,13 @@ def test_any_text_stays_text(name):
     assert "\x00" not in page.words
 
 
+@settings(deadline=None)
 @given(st.text(alphabet=st.characters(codec="utf-8")))
 def test_colouring_never_changes_the_text(pddl):
     assert "".join(Page(str(coloured(pddl))).text) == visible(pddl)
 
 
+@settings(deadline=None)
 @given(st.tuples(*[st.integers(0, 255)] * 3))
 def test_ink_keeps_enough_contrast_on_any_colour(colour):
     def luminance(rgb):
