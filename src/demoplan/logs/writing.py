@@ -229,8 +229,8 @@ def write_log(path: Path, streams: Sequence[Stream], log_format: LogFormat, *, c
 def _remove(path: Path) -> None:
     if path.is_dir():
         shutil.rmtree(path)
-    else:
-        path.unlink(missing_ok=True)
+    elif path.exists():
+        path.unlink()
 
 
 def _received(streams: Sequence[Stream], payloads: Sequence[list[bytes]]) -> Iterator[tuple[int, int, bytes]]:

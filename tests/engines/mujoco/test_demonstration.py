@@ -5,7 +5,7 @@ import pytest
 
 pytest.importorskip("mujoco")
 
-from demoplan.engines.mujoco.labels import LabelParams, label  # noqa: E402
+from demoplan.engines.mujoco.labels import LabelParams, label
 
 TASKS = ["one-left", "two-right", "unstack-left", "rebuild-right", "both: red>blue@left, green>yellow@right"]
 
@@ -92,12 +92,12 @@ def test_who_hesitates_takes_longer_to_reach(performed):
     def reaching_s(probability):
         stretches = [
             label(performed("one-right", seed=seed, hesitation_probability=probability)[1], "Right_hand")[1]
-            for seed in range(4)
+            for seed in range(3)
         ]
         return sum(stretch.end_s - stretch.start_s for stretch in stretches)
 
     # Each hesitation lasts at least 0.25 s and takes at least half of the speed away.
-    assert reaching_s(1.0) > reaching_s(0.0) + 4 * 0.1
+    assert reaching_s(1.0) > reaching_s(0.0) + 3 * 0.1
 
 
 def test_who_always_misses_never_puts_and_fails(performed):

@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 
 pytest.importorskip("mujoco")
 
-from demoplan.engines.mujoco.motion import (  # noqa: E402
+from demoplan.engines.mujoco.motion import (
     ArcParams,
     Hesitation,
     MovementClock,

@@ -109,7 +109,8 @@ def hand_over_cube():
 def test_a_closed_hand_carries_a_cube_by_friction_and_an_opened_one_drops_it(hand_over_cube):
     hand_over_cube(0.085, 0.0, 0.2)
     hand_over_cube(0.085, 1.0, 0.4)
-    lifted = hand_over_cube(0.285, 1.0, 1.0)
+    hand_over_cube(0.285, 1.0, 1.0)
+    lifted = hand_over_cube(0.285, 1.0, 0.3)
     held = hand_over_cube(0.285, 1.0, 3.0)
     assert lifted[2] == pytest.approx(0.225, abs=0.004)
     assert abs(held[2] - lifted[2]) < 0.001

@@ -3,8 +3,8 @@ import pytest
 
 pytest.importorskip("mujoco")
 
-from demoplan.engines.mujoco.sensing import RigParams, draw_rig, sense  # noqa: E402
-from demoplan.geometry import conjugate, multiply, rotate  # noqa: E402
+from demoplan.engines.mujoco.sensing import RigParams, draw_rig, sense
+from demoplan.geometry import conjugate, multiply, rotate
 
 START_NS = 1_700_000_000_000_000_000
 CLEAN = RigParams(
@@ -92,7 +92,7 @@ def test_a_lost_cube_is_missing_from_messages_for_a_while(seen):
 
 
 def test_the_trigger_says_what_this_person_does_with_it(seen):
-    who, demonstration, _, see = seen
+    who, _, _, see = seen
     readings = see(CLEAN).triggers["Right_hand"].trigger
     assert readings.min() == pytest.approx(who.trigger_open, abs=1e-6)
     assert readings.max() == pytest.approx(who.trigger_closed, abs=1e-6)

@@ -2,8 +2,8 @@ import pytest
 
 pytest.importorskip("mujoco")
 
-from demoplan.engines.mujoco.tasks import STUDY_TASKS, Step, parse_task  # noqa: E402
-from demoplan.errors import UnknownNameError, UsageError  # noqa: E402
+from demoplan.engines.mujoco.tasks import STUDY_TASKS, Step, parse_task
+from demoplan.errors import UnknownNameError, UsageError
 
 
 def test_the_study_stacks_one_and_two_cubes_with_either_hand():
