@@ -10,6 +10,7 @@ intervals are half-open ``[start_ns, end_ns)``; same name, same quantity, same u
 from demoplan.tables.activities import Activities
 from demoplan.tables.confusions import Confusions
 from demoplan.tables.episodes import Episodes, Topics
+from demoplan.tables.executions import Executions, Runs
 from demoplan.tables.facts import Facts
 from demoplan.tables.frames import Frames
 from demoplan.tables.operators import Evidence, Literals, Operators
@@ -23,11 +24,13 @@ __all__ = [
     "Confusions",
     "Episodes",
     "Evidence",
+    "Executions",
     "Facts",
     "Frames",
     "Literals",
     "Operators",
     "Plans",
+    "Runs",
     "Samples",
     "Scores",
     "Topics",
