@@ -3,6 +3,7 @@
 import bz2
 import io
 import re
+import threading
 from collections.abc import Iterator
 from typing import Any, Protocol
 
@@ -11,6 +12,8 @@ import zstandard
 
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 _PIECE = 2**20
+_OF_THREAD = threading.local()
+"""Decompressors are dear to make and not to be shared between threads."""
 
 
 class Readable(Protocol):
@@ -62,7 +65,10 @@ def _whole_zstd(data: bytes | memoryview, size: int) -> bytes:
     if zstandard.frame_content_size(bytes(data[:18])) not in (-1, size):
         raise BrokenStreamError(f"its frame does not hold the {size} bytes declared")
     # The frame's own size is as declared, or unknown: then the limit bounds what is allocated.
-    return zstandard.ZstdDecompressor().decompress(data, max_output_size=max(size, 1))
+    if not hasattr(_OF_THREAD, "zstd"):
+        _OF_THREAD.zstd = zstandard.ZstdDecompressor()
+    result: bytes = _OF_THREAD.zstd.decompress(data, max_output_size=max(size, 1))
+    return result
 
 
 def _lz4_fits(data: bytes | memoryview, size: int) -> bool:
@@ -99,7 +105,7 @@ def _pieces(name: str, stream: Readable) -> Iterator[bytes]:
         while piece := stream.read(_PIECE):
             yield piece
     elif name == "zstd":
-        reader = zstandard.ZstdDecompressor().stream_reader(stream, read_across_frames=True)
+        reader = zstandard.ZstdDecompressor().stream_reader(stream, read_across_frames=True)  # type: ignore[arg-type]
         while piece := reader.read(_PIECE):
             yield piece
     elif name in ("lz4", "bz2"):

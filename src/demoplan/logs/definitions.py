@@ -1,4 +1,4 @@
-"""Message definitions to trees of fields: from the log, from a folder of ``.msg`` files, or the standard ones."""
+"""Message definitions to trees of fields: from the log, from ``.msg`` files, or the standard ones."""
 
 import re
 from collections.abc import Iterator
@@ -81,7 +81,7 @@ class UnknownTypeError(Exception):
 
 @dataclass(frozen=True)
 class Definitions:
-    """Where definitions are looked for when the log carries none: own folders first, then the standard types."""
+    """Where definitions come from that a log does not carry: own folders first, then the standard types."""
 
     folders: tuple[Path, ...] = ()
     _own: dict[str, Any] = field(default_factory=dict, compare=False)
@@ -131,7 +131,7 @@ def _parsed(encoding: str, schema: bytes, name: str) -> dict[str, Any]:
     """Types that a log's own definition declares; none if it carries none."""
     if not schema.strip() and encoding not in ("ros2msg", "ros1msg"):
         return {}
-    if not schema.strip() and name.split("/")[0] not in ("std_msgs", "std_srvs"):
+    if not schema.strip() and name.split("/", maxsplit=1)[0] not in ("std_msgs", "std_srvs"):
         # An empty text is a definition only of types without fields; recorders also write it for 'not found'.
         return {}
     if len(schema) > _MOST_DEFINITION_BYTES:

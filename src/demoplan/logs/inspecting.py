@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+import polars as pl
 
 from demoplan.errors import LogError, UsageError
 from demoplan.logs.columns import XYZ, XYZW, Columns, Decoder, Field, MissingFieldError, Wanted
@@ -90,7 +91,7 @@ def inspect(
     mapping: Mapping | None = None,
     *,
     definitions_root: Path | str | None = None,
-    params: InspectParams = InspectParams(),  # noqa: B008 (frozen)
+    params: InspectParams = InspectParams(),
 ) -> LogReport:
     """A report on a log.
 
@@ -452,11 +453,8 @@ class _Seen:
     references: set[str] = field(default_factory=set)
     grips: list[tuple[float, float]] = field(default_factory=list)
 
-    def add(self, batch: "object") -> None:
+    def add(self, batch: pl.DataFrame) -> None:
         """Take a batch of samples."""
-        import polars as pl
-
-        assert isinstance(batch, pl.DataFrame)
         far = pl.col("position_xyz_m").arr.eval(pl.element().abs().fill_nan(0.0)).arr.max()
         summary = batch.group_by("entity", maintain_order=True).agg(
             pl.len(),

@@ -61,7 +61,7 @@ class McapFile:
             yield from self._records(file, size, is_wanted, tally)
 
     def _records(self, file: BinaryIO, size: int, is_wanted: TopicFilter, tally: Tally) -> Iterator[Block]:
-        is_data, n_declared = True, None
+        is_data, n_declared, n_before = True, None, sum(tally.channels.values())
         while True:
             at = file.tell()
             prefix = file.read(_PREFIX.size)
@@ -78,8 +78,6 @@ class McapFile:
                 tally.problems.append(f"at byte {at} of {size} begins {what}")
                 if op == _CHUNK:
                     yield from self._chunk(file, size - at - _PREFIX.size, at, is_wanted, tally)
-                elif op == _MESSAGE:
-                    pass
                 break
             if op == _FOOTER:
                 self._check_end(file, length, tally)
@@ -100,11 +98,9 @@ class McapFile:
                 self._declare(op, file.read(length), at, tally)
             else:
                 file.seek(length, 1)
-        n_found = sum(tally.channels.values()) - self._n_before
+        n_found = sum(tally.channels.values()) - n_before
         if n_declared is not None and n_declared != n_found:
             tally.remarks.append(f"its statistics speak of {n_declared} messages where {n_found} were found")
-
-    _n_before = 0
 
     def _check_end(self, file: BinaryIO, length: int, tally: Tally) -> None:
         file.seek(length, 1)
@@ -191,7 +187,11 @@ class McapFile:
                 break
             n_entries = min(struct.unpack_from("<I", body, 2)[0], length - 6) // _INDEX_ENTRY.itemsize
             parts.append(np.frombuffer(body, _INDEX_ENTRY, n_entries, 6)["offset"].astype(np.int64))
-        return np.sort(np.concatenate(parts)) if parts else np.empty(0, np.int64)
+        if not parts:
+            return np.empty(0, np.int64)
+        return (
+            parts[0] if len(parts) == 1 and (np.diff(parts[0]) > 0).all() else np.sort(np.concatenate(parts))
+        )
 
     def _whole_chunk(
         self, buffer: Bytes, indexed: Times, at: int, is_wanted: TopicFilter, tally: Tally
@@ -220,7 +220,7 @@ class McapFile:
             while pos < end:
                 if pos + _PREFIX.size > end:
                     return None
-                op, length = _PREFIX.unpack_from(buffer, pos)
+                op, length = _PREFIX.unpack_from(buffer.data, pos)
                 if op not in (_SCHEMA, _CHANNEL):
                     return None
                 declarations.append((op, pos, length))
@@ -229,22 +229,22 @@ class McapFile:
                 return None
         for op, pos, length in declarations:
             body = pos + _PREFIX.size
-            self._declare(op, memoryview(buffer)[body : body + length], at, tally)
+            self._declare(op, buffer.data[body : body + length], at, tally)
         return starts
 
     def _walk(self, buffer: Bytes, at: int, tally: Tally) -> tuple[Times, int]:
-        """Places of all whole message records from the buffer's start, and where the first other thing begins."""
+        """Places of all whole message records from the start, and where the first other thing begins."""
         starts: list[int] = []
-        pos, size, unpack = 0, len(buffer), _PREFIX.unpack_from
+        pos, size, unpack, data = 0, len(buffer), _PREFIX.unpack_from, buffer.data
         while pos + 9 <= size:
-            op, length = unpack(buffer, pos)
+            op, length = unpack(data, pos)
             end = pos + 9 + length
             if end > size:
                 break
             if op == _MESSAGE and length >= 22:
                 starts.append(pos)
             elif op in (_SCHEMA, _CHANNEL):
-                self._declare(op, memoryview(buffer)[pos + 9 : end], at, tally)
+                self._declare(op, buffer.data[pos + 9 : end], at, tally)
             elif op in (0, _CHUNK, _INDEX, _DATA_END, _FOOTER):
                 break
             pos = end

@@ -48,7 +48,7 @@ class Block:
     def payload(self, row: int) -> memoryview:
         """Bytes of one message."""
         start = int(self.starts[row])
-        return memoryview(self.buffer)[start : start + int(self.lengths[row])]
+        return self.buffer.data[start : start + int(self.lengths[row])]
 
 
 @dataclass(eq=False)

@@ -34,7 +34,7 @@ class LogFile:
 
     @contextmanager
     def container(self, tally: Tally, *, check_crc: bool = False) -> Iterator[Container]:
-        """The file, opened by what it contains; one that is compressed as a whole is unpacked for the while."""
+        """The file, opened by what it contains; one that is compressed as a whole is unpacked meanwhile."""
         if not self.is_packed:
             yield _container(self.path, self.path, check_crc)
             return
@@ -147,7 +147,7 @@ def _natural(name: str) -> tuple[tuple[int, int | str], ...]:
 
 
 def fingerprint(path: Path | str) -> ContentHash:
-    """SHA-256 of a log's bytes, in bounded memory; of a folder: of its data files, in the order of their names.
+    """SHA-256 of a log's bytes, in bounded memory; of a folder: of its data files, in name order.
 
     Raises:
         LogError: If nothing is there, or it cannot be read.

@@ -85,7 +85,7 @@ def _collect(data: memoryview, scope: str, types: dict[str, Fields], depth: int)
     fields: Fields = {}
     for n, _, value in parts:
         if n == 2:
-            about = {
+            about: dict[int, Any] = {
                 key: bytes(item).decode() if isinstance(item, memoryview) else item
                 for key, _, item in _wire(value)
                 if key in (1, 3, 4, 5, 6)
@@ -99,7 +99,7 @@ def _collect(data: memoryview, scope: str, types: dict[str, Fields], depth: int)
 def parser_of(name: str, schema: bytes) -> tuple[Record, Callable[[memoryview], Any]]:
     """The tree of fields of a type, and a function that parses its messages to nested dicts.
 
-    Scalars that a message leaves out have their default, as proto3 says; records that it leaves out are absent.
+    Scalars that a message leaves out have their default, as proto3 says; records left out are absent.
 
     Raises:
         UnknownTypeError: If the schema does not parse, or does not hold the type.

@@ -38,7 +38,7 @@ class Reading:
 class SampleStream:
     """Samples of one log, in bounded memory.
 
-    ``batches`` is to be gone through once; ``topics``, ``status`` and ``reason`` tell of the whole log after that.
+    ``batches`` is to be gone through once; then ``topics``, ``status`` and ``reason`` tell of the whole log.
     """
 
     def __init__(self, path: Path, mapping: Mapping, episode_id: str, definitions: Definitions) -> None:
@@ -64,7 +64,7 @@ class SampleStream:
         """Samples of one topic at a time, in file order, at most some hundred thousand rows each.
 
         Raises:
-            LogError: If the log cannot be read, lacks a required topic, or a topic's type lacks a mapped field.
+            LogError: If the log cannot be read, lacks a required topic, or a type lacks a mapped field.
         """
         if self._is_read:
             raise UsageError("the batches of a log can be gone through only once; open it again")
@@ -82,7 +82,7 @@ class SampleStream:
                         if decoder is None:
                             sampler.n_rejected += len(block.starts)
                             continue
-                        # Two channels of a topic may interleave: a batch ends only where all before it is there.
+                        # Channels of a topic may interleave: a batch ends only where all before it is there.
                         if sampler.n_pending >= _BATCH_ROWS and block.indexes[0] > sampler.last_index:
                             yield sampler.take()
                         try:
@@ -96,7 +96,7 @@ class SampleStream:
         self._require_topics()
 
     def _decoder(self, channel: Channel, sampler: TopicSampler) -> Decoder | None:
-        """What reads a channel for a mapped topic; null, with a note, if it cannot be read and is not required."""
+        """What reads a channel for a mapped topic; null, with a note, if nothing can and it is optional."""
         wanted = wanted_of(sampler.topic)
         try:
             return decoder_for(channel, wanted, self._definitions, sampler.interner)

@@ -11,7 +11,7 @@ class Finding:
     """One thing that is wrong or worth knowing."""
 
     severity: Severity
-    """``error``: the log, or the mapping, is of no use so; ``warning``: results may suffer; ``note``: none of these."""
+    """``error``: the log or mapping is of no use so; ``warning``: results may suffer; ``note``: neither."""
     subject: str
     """Topic, frame, or ``log``."""
     rule: str

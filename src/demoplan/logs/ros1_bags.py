@@ -72,8 +72,11 @@ class Ros1Bag:
                 elif op == bytes([_BAG]):
                     if head.get("encryptor"):
                         raise LogError(self.path, "the bag is encrypted; decrypt it with ROS first")
-                    if head.get("index_pos") == bytes(8):
+                    index_at = int.from_bytes(head.get("index_pos", b""), "little")
+                    if index_at == 0:
                         tally.problems.append("it was never closed: it has no index")
+                    elif index_at >= size and any(head.get("chunk_count", b"")):
+                        tally.problems.append(f"it ends at byte {size}, before its index at byte {index_at}")
                 elif op == bytes([_CONNECTION]):
                     self._connect(head, file.read(n_data), tally)
                 elif op == bytes([_MESSAGE]):
@@ -188,19 +191,19 @@ class Ros1Bag:
         return starts
 
     def _walk(self, buffer: Bytes, tally: Tally) -> tuple[Times, int]:
-        """Places of all whole message records from the buffer's start, and where the first other thing begins."""
+        """Places of all whole message records from the start, and where the first other thing begins."""
         starts: list[int] = []
         pos, size, unpack = 0, len(buffer), _U32.unpack_from
         n_head, expected = 0, b""
-        data = memoryview(buffer)
+        data = buffer.data
         while pos + 8 <= size:
-            (length,) = unpack(buffer, pos)
+            (length,) = unpack(data, pos)
             # Most records have the header's fields in one order: then no header needs to be parsed.
             if length == n_head and bytes(data[pos + 4 : pos + 4 + len(expected)]) == expected:
                 body = pos + 4 + n_head
                 if body + 4 > size:
                     break
-                end = body + 4 + unpack(buffer, body)[0]
+                end = body + 4 + unpack(data, body)[0]
                 if end > size:
                     break
                 starts.append(pos)
@@ -324,12 +327,12 @@ def _record_at(buffer: Bytes, pos: int) -> tuple[dict[str, bytes], int, int] | N
     size = len(buffer)
     if pos + 8 > size:
         return None
-    (length,) = _U32.unpack_from(buffer, pos)
+    (length,) = _U32.unpack_from(buffer.data, pos)
     body = pos + 4 + length
     if length > _MOST_HEADER or body + 4 > size:
         return None
-    fields = _fields(memoryview(buffer)[pos + 4 : body])
-    end = body + 4 + _U32.unpack_from(buffer, body)[0]
+    fields = _fields(buffer.data[pos + 4 : body])
+    end = body + 4 + _U32.unpack_from(buffer.data, body)[0]
     if fields is None or end > size:
         return None
     return fields, body + 4, end

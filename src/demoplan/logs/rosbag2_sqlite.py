@@ -13,13 +13,17 @@ from urllib.parse import quote
 
 import numpy as np
 import zstandard
+from numpy.typing import NDArray
 
 from demoplan.errors import LogError
 from demoplan.logs.compression import ZSTD_MAGIC
-from demoplan.logs.messages import MOST_BYTES, Block, Channel, Tally, TopicFilter, by_channel
+from demoplan.logs.messages import Block, Channel, Tally, TopicFilter, by_channel
 
 MAGIC = b"SQLite format 3\0"
-_BATCH_BYTES = MOST_BYTES // 8
+_BATCH_BYTES = 2**20
+"""Payloads decoded at a time: few enough that they stay in the processor's cache."""
+_ROW_BYTES = 64
+"""What a row counts beside its payload, so that many without one do not gather without bound."""
 _MOST_MESSAGE = 2**30
 
 
@@ -47,8 +51,8 @@ class Rosbag2Sqlite:
     def _opened(self, tally: Tally) -> Iterator[sqlite3.Connection]:
         """The database, opened so that nothing is written beside the log.
 
-        A recorder that was killed leaves its last messages in a ``-wal`` file. Reading that needs write access
-        to the folder, so that a copy is read instead.
+        A recorder that was killed leaves its last messages in a ``-wal`` file. To read that, sqlite3 must write
+        into the folder: so a copy is read instead.
         """
         wal = self.path.with_name(self.path.name + "-wal")
         with tempfile.TemporaryDirectory(prefix="demoplan-") as folder:
@@ -66,6 +70,11 @@ class Rosbag2Sqlite:
             except sqlite3.Error as error:
                 raise LogError(self.path, f"sqlite3 does not open it: {error}") from None
             with closing(database):
+                # sqlite3 refuses a file that was cut, unless it may assume the worst; nothing is ever written.
+                database.execute("PRAGMA writable_schema = ON")
+                database.execute("PRAGMA trusted_schema = OFF")
+                if path is self.path and (lost := _n_lost(path)):
+                    tally.problems.append(f"the database is cut: its last {lost} bytes are missing")
                 database.text_factory = lambda data: data.decode(errors="replace")
                 yield database
 
@@ -83,8 +92,8 @@ class Rosbag2Sqlite:
             columns = {row[1] for row in database.execute("PRAGMA table_info(topics)")}
             definitions: dict[str, tuple[str, bytes]] = {}
             if "message_definitions" in tables:
-                query = "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions ORDER BY id"
-                for name, encoding, text in database.execute(query):
+                query = "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions"
+                for name, encoding, text in database.execute(f"{query} ORDER BY id"):
                     definitions[name] = (encoding or "", (text or "").encode())
             profiles = "offered_qos_profiles" if "offered_qos_profiles" in columns else "''"
             channels = {}
@@ -109,35 +118,25 @@ class Rosbag2Sqlite:
         columns = {row[1] for row in database.execute("PRAGMA table_info(messages)")}
         published = "send_timestamp" if "send_timestamp" in columns else "NULL"
         stamp = "timestamp" if "timestamp" in columns else "recv_timestamp"
-        others = database.execute("SELECT topic_id, COUNT(*) FROM messages GROUP BY topic_id").fetchall()
-        for number, n_messages in others:
-            channel = channels.get(number)
-            if channel is None:
-                tally.problems.append(
-                    f"{n_messages} messages of a topic that the log never declares were left out"
-                )
-            elif number not in wanted:
-                tally.count(channel, n_messages)
-                tally.take_indexes(channel.topic, n_messages)
-        if not wanted:
-            return
-        # Payloads of other topics lie on pages that are never read. Row order is the order of recording.
+        # Unwanted payloads stay unread, on pages of their own; their rows are counted in the same pass. The
+        # order of rows is the order of recording.
+        is_all = len(wanted) == len(channels)
         chosen = ",".join(str(number) for number in wanted)
+        data = "data" if is_all else f"CASE WHEN topic_id IN ({chosen}) THEN data END"
         cursor = database.execute(
-            f"SELECT topic_id, {stamp}, {published}, data FROM messages "  # noqa: S608 (integers and own names)
-            f"WHERE topic_id IN ({chosen}) ORDER BY id"
+            f"SELECT topic_id, {stamp}, {published}, {data} FROM messages ORDER BY id"  # noqa: S608
         )
         broken: sqlite3.DatabaseError | None = None
         while broken is None:
-            rows: list[tuple[int, int, int | None, bytes]] = []
+            rows: list[tuple[int, int, int | None, bytes | None]] = []
             n_bytes = 0
             try:
                 while n_bytes < _BATCH_BYTES:
-                    some = cursor.fetchmany(64)
+                    some = cursor.fetchmany(128)
                     if not some:
                         break
                     rows += some
-                    n_bytes += sum([len(row[3]) for row in some])
+                    n_bytes += sum([len(row[3] or b"") for row in some]) + len(some) * _ROW_BYTES
             except sqlite3.DatabaseError as error:
                 broken = error
             if rows:
@@ -148,30 +147,59 @@ class Rosbag2Sqlite:
 
     def _block(
         self,
-        rows: list[tuple[int, int, int | None, bytes]],
+        rows: list[tuple[int, int, int | None, bytes | None]],
         codes: dict[int, int],
         known: list[Channel | None],
         is_wanted: TopicFilter,
         tally: Tally,
     ) -> Iterator[Block]:
-        numbers, log, publish, payloads = zip(*rows, strict=True)
-        if any(payload[:4] == ZSTD_MAGIC for payload in payloads[:1]):
+        numbers, log, publish, data = zip(*rows, strict=True)
+        payloads: tuple[bytes, ...] = data
+        if set(map(type, data)) != {bytes}:
+            payloads = tuple(item if isinstance(item, bytes) else b"" for item in data)
+        # All messages of a file are compressed, or none.
+        if payloads[-1][:4] == ZSTD_MAGIC or payloads[0][:4] == ZSTD_MAGIC:
             payloads = tuple(_unpacked(payload) for payload in payloads)
             tally.facts["compression"] = "zstd, by message"
         lengths = np.fromiter(map(len, payloads), np.int64, len(payloads))
         starts = np.cumsum(lengths) - lengths
         has_publish = publish[0] is not None and all(value is not None for value in publish)
+        try:
+            log_ns = np.array(log, np.int64)
+            publish_ns = np.array(publish, np.int64) if has_publish else None
+        except (TypeError, ValueError, OverflowError):
+            raise LogError(self.path, "its messages have time stamps that are no 64-bit integers") from None
         yield from by_channel(
             known,
-            np.array([codes[number] for number in numbers], np.int64),
+            _coded(numbers, codes),
             is_wanted,
             tally,
             np.frombuffer(b"".join(payloads), np.uint8),
             starts,
             lengths,
-            np.array(log, np.int64),
-            np.array(publish, np.int64) if has_publish else None,
+            log_ns,
+            publish_ns,
         )
+
+
+def _n_lost(path: Path) -> int:
+    """How many bytes a database lacks, by the size in its header."""
+    with path.open("rb") as file:
+        head = file.read(32)
+    if len(head) < 32:
+        return 0
+    page = int.from_bytes(head[16:18], "big")
+    n_pages = int.from_bytes(head[28:32], "big")
+    return max(n_pages * (65536 if page == 1 else page) - path.stat().st_size, 0)
+
+
+def _coded(numbers: tuple[int, ...], codes: dict[int, int]) -> NDArray[np.int64]:
+    """Codes of topic numbers; the one after the last for a topic that is not declared."""
+    found = np.full(len(numbers), len(codes), np.int64)
+    asked = np.array(numbers, np.int64)
+    for number, code in codes.items():
+        found[asked == number] = code
+    return found
 
 
 def _unpacked(payload: bytes) -> bytes:

@@ -26,7 +26,6 @@ MappedTopic: TypeAlias = TransformsTopic | PoseTopic | BodiesTopic | GripTopic
 _METRES = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 STAMP_PATHS = ("header.stamp", "stamp", "timestamp")
 _FRAMES = ("header.frame_id", "frame_id")
-_WXYZ_OF_XYZW = [3, 0, 1, 2]
 
 
 def wanted_of(topic: MappedTopic) -> Wanted:
@@ -60,7 +59,7 @@ def wanted_of(topic: MappedTopic) -> Wanted:
 
 @dataclass(eq=False)
 class TopicSampler:
-    """Turns columns of one mapped topic into samples, piece by piece, and counts what became of its messages."""
+    """Turns columns of one mapped topic into samples, and counts what became of its messages."""
 
     label: str
     """The mapping's key: topic, or topic#anything where one topic feeds several groups."""
@@ -132,7 +131,11 @@ class TopicSampler:
     def take(self) -> DataFrame[Samples]:
         """Every row kept so far, which is then forgotten."""
         pieces, self._pieces, self.n_pending = self._pieces, [], 0
-        data = {key: _joined([piece.get(key) for piece in pieces]) for key in pieces[0]}
+        is_w_first = isinstance(self.topic, PoseTopic | BodiesTopic) and self.topic.order == "wxyz"
+        data = {
+            key: _joined([piece.get(key) for piece in pieces], key == "orientation" and not is_w_first)
+            for key in pieces[0]
+        }
         index: Times = data["index"]  # type: ignore[assignment]
         if (np.diff(index) < 0).any():
             # Several channels of one topic come one after the other: back into file order.
@@ -149,14 +152,12 @@ class TopicSampler:
         )
         frame = pl.DataFrame(
             {
-                "episode_id": pl.repeat(self.episode_id, n_rows, dtype=pl.String, eager=True),
-                "topic": pl.repeat(self.label, n_rows, dtype=pl.String, eager=True),
+                "episode_id": _constant(self.episode_id, n_rows, pl.String()),
+                "topic": _constant(self.label, n_rows, pl.String()),
                 "entity": entity,
-                "kind": pl.repeat(kind, n_rows, eager=True).cast(Samples.columns()["kind"].dtype),
+                "kind": _constant(kind, n_rows, Samples.columns()["kind"].dtype),
                 "reference": reference,
-                "is_static": pl.repeat(
-                    getattr(self.topic, "static", False), n_rows, dtype=pl.Boolean, eager=True
-                ),
+                "is_static": _constant(getattr(self.topic, "static", False), n_rows, pl.Boolean()),
                 "message_index": pl.Series(data["index"]),
                 "stamp_ns": pl.Series(stamp),
                 "log_ns": pl.Series(log),
@@ -208,10 +209,11 @@ class TopicSampler:
         if isinstance(topic, GripTopic):
             recorded = np.asarray(data["grip"], np.float64)[:, 0]
             span = topic.open_at - topic.closed_at
-            grip = np.clip((recorded - topic.closed_at) / span, 0.0, 1.0)
+            with np.errstate(over="ignore", invalid="ignore"):
+                grip = np.clip((recorded - topic.closed_at) / span, 0.0, 1.0)
             return None, None, grip, np.isfinite(recorded)
         position = np.asarray(data["position"], np.float64)
-        is_tracked = np.isfinite(position.sum(axis=1))
+        is_tracked = _is_finite(position)
         if isinstance(topic, PoseTopic | BodiesTopic):
             if topic.unit != "m":
                 position = position * _METRES[topic.unit]
@@ -220,13 +222,11 @@ class TopicSampler:
         orientation = data.get("orientation")
         if orientation is None:
             return position, None, None, is_tracked
-        order = topic.order if isinstance(topic, PoseTopic | BodiesTopic) else "fields"
         turned = np.asarray(orientation, np.float64)
-        if order != "wxyz":
-            turned = turned[:, _WXYZ_OF_XYZW]
+        is_tracked &= _is_finite(turned)
         # A quaternion without length is no rotation: what trackers write when they have lost a body.
-        squares = np.einsum("ij,ij->i", turned, turned)
-        is_tracked &= np.isfinite(squares) & (squares > 0)
+        suspects = np.flatnonzero(turned[:, 0] == 0)
+        is_tracked[suspects] &= turned[suspects].any(axis=1)
         return position, turned, None, is_tracked
 
     def _names(self, data: dict[str, NDArray[np.generic] | None], n_rows: int) -> tuple[pl.Series, pl.Series]:
@@ -234,7 +234,7 @@ class TopicSampler:
         topic, texts = self.topic, self.interner.texts
         names = data.get("name")
         if isinstance(topic, PoseTopic | GripTopic):
-            entity = pl.repeat(topic.entity, n_rows, dtype=pl.String, eager=True)
+            entity = _constant(topic.entity, n_rows, pl.String())
         elif isinstance(topic, BodiesTopic):
             entity = _looked_up([topic.entities.get(text, text) for text in texts], names)
         else:
@@ -242,7 +242,7 @@ class TopicSampler:
         fixed = getattr(topic, "frame", None)
         frames = data.get("frame")
         if fixed is not None or frames is None:
-            return entity, pl.repeat(fixed or self.mapping.world, n_rows, dtype=pl.String, eager=True)
+            return entity, _constant(fixed or self.mapping.world, n_rows, pl.String())
         return entity, _looked_up([frame_name(text) or self.mapping.world for text in texts], frames)
 
     def note(self) -> str | None:
@@ -259,19 +259,49 @@ def _n_distinct(ascending: Times) -> int:
     return 0 if not len(ascending) else 1 + int(np.count_nonzero(np.diff(ascending)))
 
 
-def _joined(parts: list[NDArray[np.generic] | None]) -> NDArray[np.generic] | None:
+def _joined(parts: list[NDArray[np.generic] | None], is_w_last: bool) -> NDArray[np.generic] | None:
+    """Arrays as one; quaternions that end in w are turned to begin with it, in the same pass."""
     arrays = [part for part in parts if part is not None]
     if len(arrays) != len(parts):
         return None
-    return arrays[0] if len(arrays) == 1 else np.concatenate(arrays)
+    if not is_w_last:
+        return arrays[0] if len(arrays) == 1 else np.concatenate(arrays)
+    turned = np.empty((sum(len(array) for array in arrays), 4))
+    at = 0
+    for array in arrays:
+        turned[at : at + len(array), 1:] = array[:, :3]
+        turned[at : at + len(array), 0] = array[:, 3]
+        at += len(array)
+    return turned
+
+
+def _is_finite(values: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Which rows hold numbers only. A sum that is finite settles it for all rows at once."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        is_all = np.isfinite(values.sum())
+    if is_all:
+        return np.ones(len(values), bool)
+    finite: NDArray[np.bool_] = np.isfinite(values).all(axis=1)
+    return finite
 
 
 def _looked_up(names: list[str], codes: NDArray[np.generic] | None) -> pl.Series:
     return pl.Series(names, dtype=pl.String).gather(pl.Series(codes))
 
 
+def _constant(value: object, n_rows: int, dtype: pl.DataType) -> pl.Series:
+    return pl.Series([value], dtype=dtype).new_from_index(0, n_rows)
+
+
 def _maybe(values: NDArray[np.generic] | None, n_rows: int, dtype: pl.DataType) -> pl.Series:
     """A column, or one without any value."""
     if values is None:
-        return pl.Series([None], dtype=dtype).new_from_index(0, n_rows)
-    return pl.Series(np.ascontiguousarray(values), dtype=dtype)
+        return _constant(None, n_rows, dtype)
+    column = pl.Series(np.ascontiguousarray(values), dtype=dtype)
+    if not np.issubdtype(values.dtype, np.floating) or _is_finite(values.reshape(len(values), -1)).all():
+        return column
+    # The table holds numbers or nothing: what is not finite becomes null, and its row is not tracked.
+    if values.ndim == 1:
+        return column.set(~column.is_finite(), None)
+    finite = pl.element().is_finite()
+    return column.arr.eval(pl.when(finite).then(pl.element())).cast(dtype)

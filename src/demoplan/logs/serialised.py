@@ -1,13 +1,26 @@
 """CDR and ROS 1 messages to columns, through layouts."""
 
 import numpy as np
+from numpy.typing import NDArray
 
 from demoplan.logs.columns import Columns, Field, Wanted, joined, resolve
 from demoplan.logs.definitions import Record
-from demoplan.logs.layouts import EACH, Format, Interner, Layout, LayoutFinder, Place, integers, numbers
-from demoplan.logs.messages import Block, Bytes, Times
+from demoplan.logs.layouts import (
+    EACH,
+    Format,
+    Group,
+    Interner,
+    Layout,
+    LayoutFinder,
+    Place,
+    integers,
+    numbers,
+    seconds_and_nanoseconds,
+)
+from demoplan.logs.messages import Block, Bytes
 
-_NANOSECONDS_PER_SECOND = 1_000_000_000
+_MOST_CODES = 1024
+"""Codes of layouts that are kept at a time."""
 
 
 class SerialisedDecoder:
@@ -24,17 +37,18 @@ class SerialisedDecoder:
         self._resolved = resolve(node, wanted)
         paths = self._resolved.paths
         self._each_path = next((path for path in paths if EACH in path), None)
+        self._known_codes: dict[tuple[Layout, str], NDArray[np.int32]] = {}
         self._finder = LayoutFinder(node, form, paths)
 
     def decode(self, block: Block) -> Columns:
         """Rows of a block."""
         groups, refused = self._finder.groups(block.buffer, block.starts, block.lengths)
-        parts = [self._group(layout, members, rows) for layout, members, rows in groups]
+        parts = [self._group(group) for group in groups]
         parts.append(Columns(np.empty(0, np.int64), refused=[(len(rows), why) for rows, why in refused]))
         return joined(parts) if refused or len(groups) != 1 else parts[0]
 
-    def _group(self, layout: Layout, members: Times, rows: Bytes) -> Columns:
-        places = layout.places
+    def _group(self, group: Group) -> Columns:
+        places, members, rows = group.layout.places, group.members, group.rows
         n_elements = 1
         if self._each_path is not None:
             n_elements = len(places.get(self._each_path, ()))
@@ -59,13 +73,12 @@ class SerialisedDecoder:
                     values = np.repeat(values, n_elements, axis=1)
                 columns.numbers[item.key] = values.reshape(n_rows, -1)
             elif item.form == "stamp":
-                seconds, nanoseconds = (integers(rows, part) for part in spread)
-                stamps = seconds * _NANOSECONDS_PER_SECOND + nanoseconds
+                stamps = seconds_and_nanoseconds(rows, *spread)
                 if stamps.shape[1] != n_elements:
                     stamps = np.repeat(stamps, n_elements, axis=1)
                 columns.stamps[item.key] = stamps.reshape(-1)
             else:
-                columns.texts[item.key] = self._texts(rows, spread[0], n_elements).reshape(-1)
+                columns.texts[item.key] = self._codes(group, item.key, spread[0], n_elements)
         return columns
 
     def _leave_out(self, columns: Columns, item: Field, n_rows: int) -> None:
@@ -77,7 +90,19 @@ class SerialisedDecoder:
         else:
             columns.texts[item.key] = np.full(n_rows, self._interner.code(""), np.int32)
 
-    def _texts(self, rows: Bytes, places: list[Place], n_elements: int) -> np.ndarray:
+    def _codes(self, group: Group, key: str, places: list[Place], n_elements: int) -> NDArray[np.int32]:
+        """Codes of a text in each row; where all messages are worded alike, found once for their layout."""
+        if not group.has_one_wording:
+            return self._texts(group.rows, places, n_elements).reshape(-1)
+        known = self._known_codes.get((group.layout, key))
+        if known is None:
+            known = self._texts(group.rows[:1], places, n_elements).reshape(-1)
+            if len(self._known_codes) >= _MOST_CODES:
+                self._known_codes.clear()
+            self._known_codes[group.layout, key] = known
+        return np.tile(known, len(group.rows))
+
+    def _texts(self, rows: Bytes, places: list[Place], n_elements: int) -> NDArray[np.int32]:
         codes = np.empty((len(rows), n_elements), np.int32)
         for number, place in enumerate(places):
             target = slice(None) if len(places) != n_elements else slice(number, number + 1)

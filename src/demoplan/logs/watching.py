@@ -94,7 +94,8 @@ class PoseWatch:
             is_finite &= np.isfinite(position).all(axis=1)
             self.furthest = max(self.furthest, float(np.abs(position[is_finite]).max(initial=0.0)))
         if orientation is not None:
-            norms = np.linalg.norm(orientation, axis=1)
+            with np.errstate(over="ignore"):
+                norms = np.linalg.norm(orientation, axis=1)
             is_turned = np.isfinite(norms)
             is_finite &= is_turned
             self.n_without_rotation += int(np.count_nonzero(norms == 0))
