@@ -10,7 +10,16 @@ from hypothesis import strategies as st
 
 from demoplan.errors import DataError, UnknownNameError
 from demoplan.language.types import TypeHierarchy
-from demoplan.stages.segment import GranularActivity, RuleTree, SegmentParams, TrainParams, segment, train
+from demoplan.stages.segment import (
+    PUBLISHED_RULES,
+    RULES,
+    GranularActivity,
+    RuleTree,
+    SegmentParams,
+    TrainParams,
+    segment,
+    train,
+)
 from demoplan.tables import Activities, Facts, Frames
 
 
@@ -30,15 +39,71 @@ def assert_tiles(activities, frames):
 
 def test_the_rules_name_what_they_were_published_for(demonstrate):
     d = demonstrate()
-    found = segment(d.frames, d.facts, d.entities, d.types)
+    found = segment(d.frames, d.facts, d.entities, d.types, PUBLISHED_RULES)
     assert course(found) == ["Idle", "Reach", "Take", "Put", "Take", "Release", "Idle"]
     assert course(found, "Left_hand") == ["Idle"]
     assert_tiles(found, d.frames)
 
 
+def fact(facts, predicate, arguments, start_s, end_s):
+    row = {
+        "episode_id": "e1",
+        "predicate": predicate,
+        "arguments": arguments,
+        "start_ns": 1_000_000_000 + round(start_s * 1e9),
+        "end_ns": 1_000_000_000 + round(end_s * 1e9),
+        "value": "true",
+    }
+    return Facts.validate(pl.concat([facts, pl.DataFrame([row], schema=facts.schema)]), cast=True)
+
+
+def test_with_memory_a_rest_after_carrying_is_not_taking_again(demonstrate):
+    d = demonstrate()
+    found = segment(d.frames, d.facts, d.entities, d.types, RULES)
+    assert course(found) == ["Idle", "Reach", "Take", "Put", "Release", "Idle"]
+    assert_tiles(found, d.frames)
+
+
+def test_with_memory_a_motion_reaches_from_its_beginning(demonstrate):
+    d = demonstrate()
+    facts = d.facts.filter(pl.col("predicate") != "actedOn")
+    late = fact(facts, "actedOn", ["Right_hand", "cube"], 1.7, 2.0)
+    published = segment(d.frames, late, d.entities, d.types, PUBLISHED_RULES)
+    assert course(published)[:3] == ["Idle", "Release", "Reach"]
+    assert course(segment(d.frames, late, d.entities, d.types, RULES))[:3] == ["Idle", "Reach", "Take"]
+
+
+def test_with_memory_a_motion_that_comes_to_nothing_releases(demonstrate):
+    d = demonstrate()
+    passing = fact(d.facts, "actedOn", ["Right_hand", "bowl"], 4.6, 4.9)
+    found = segment(d.frames, passing, d.entities, d.types, RULES)
+    assert course(found) == ["Idle", "Reach", "Take", "Put", "Release", "Idle"]
+
+
+def test_with_memory_a_rest_on_the_way_into_a_grasp_is_not_idle(demonstrate):
+    d = demonstrate()
+    facts = d.facts.filter(pl.col("predicate") != "inHand")
+    late = fact(facts, "inHand", ["Right_hand", "cube"], 2.3, 4.4)
+    assert "Idle" in course(segment(d.frames, late, d.entities, d.types, PUBLISHED_RULES))[1:-1]
+    assert course(segment(d.frames, late, d.entities, d.types, RULES)) == [
+        "Idle",
+        "Reach",
+        "Take",
+        "Put",
+        "Release",
+        "Idle",
+    ]
+
+
+def test_with_memory_a_hand_that_only_rests_is_idle(demonstrate):
+    d = demonstrate()
+    assert course(segment(d.frames, d.facts, d.entities, d.types, RULES), "Left_hand") == ["Idle"]
+
+
 def test_segments_say_what_is_acted_on_and_what_is_held(demonstrate):
     d = demonstrate()
-    rows = segment(d.frames, d.facts, d.entities, d.types).filter(pl.col("hand") == "Right_hand").to_dicts()
+    found = segment(d.frames, d.facts, d.entities, d.types, PUBLISHED_RULES)
+    rows = found.filter(pl.col("hand") == "Right_hand").to_dicts()
     assert [(row["acted_on"], row["in_hand"]) for row in rows] == [
         (None, None),
         ("cube", None),
@@ -58,7 +123,8 @@ def test_doing_something_with_one_class_to_another_has_its_own_name(demonstrate)
     )
     facts = Facts.validate(pl.concat([d.facts, over]), cast=True)
     rules = RuleTree(
-        granular=(GranularActivity(held_type="Graspable", acted_on_type="Bowl", activity="Pour"),)
+        has_memory=False,
+        granular=(GranularActivity(held_type="Graspable", acted_on_type="Bowl", activity="Pour"),),
     )
     found = segment(d.frames, facts, d.entities, d.types, rules)
     assert course(found) == ["Idle", "Reach", "Take", "Pour", "Take", "Release", "Idle"]

@@ -20,6 +20,7 @@ from demoplan.tables import Activities
 QUICK = {"n_variations": 1, "min_leaf_s": 0.1, "n_trees": 5}
 METHODS = [
     "decision_tree",
+    "distilled_tree",
     "random_forest",
     "extra_trees",
     pytest.param("gradient_boosting", marks=pytest.mark.slow),

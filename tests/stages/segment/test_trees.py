@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 from sklearn.ensemble import ExtraTreesClassifier, HistGradientBoostingClassifier, RandomForestClassifier
-from sklearn.tree import DecisionTreeClassifier
+from sklearn.tree import DecisionTreeClassifier, DecisionTreeRegressor
 
 from demoplan.errors import DataError
 from demoplan.stages.segment.fitting import boosted_trees_of, fitted, trees_of
@@ -37,6 +37,16 @@ def test_walking_the_arrays_gives_the_probabilities_of_scikit_learn(model, examp
     trees = trees_of(getattr(model, "estimators_", [model]), values.shape[1])
     fresh = np.random.default_rng(9).standard_normal((5000, 6)).astype(np.float32)
     np.testing.assert_allclose(probabilities(trees, fresh), model.predict_proba(fresh), atol=1e-12)
+
+
+def test_a_tree_of_regressions_gives_the_shares_of_scikit_learn(examples):
+    values, target = examples
+    shares = np.eye(4)[target] * 0.8 + 0.05
+    model = DecisionTreeRegressor(min_samples_leaf=9, random_state=0).fit(values, shares)
+    fresh = np.random.default_rng(9).standard_normal((3000, 6)).astype(np.float32)
+    found = probabilities(trees_of([model], values.shape[1]), fresh)
+    np.testing.assert_allclose(found, model.predict(fresh), atol=1e-12)
+    np.testing.assert_allclose(found.sum(axis=1), 1.0)
 
 
 @pytest.mark.parametrize("n_classes", [2, 4])

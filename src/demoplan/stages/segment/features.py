@@ -97,7 +97,7 @@ def _signals(tracks: Tracks, params: FeatureParams) -> dict[str, Array]:
     velocity = velocities(hands_m, tick_s, params.velocity_window_s)
     speed = _norm(velocity)
     is_moving = tracks.is_moving
-    grip = _relative_grip(tracks.grip)
+    grip = relative_grip(tracks.grip)
     signals: dict[str, Array] = {
         "hand_speed": speed,
         "hand_drift": _norm(windows.difference(hands_m, 0.6, tick_s, axis=1)),
@@ -278,7 +278,7 @@ def _above_low(height_m: Array) -> Array:
     return height_m - np.quantile(height_m, 0.02, axis=-1, keepdims=True)
 
 
-def _relative_grip(grip: Array) -> Array:
+def relative_grip(grip: Array) -> Array:
     """Opening of each hand ``(h, t)`` within the range that it uses; −1 throughout without a signal.
 
     Triggers and fingers end at other readings for every person and device. A hand that keeps still is open or
@@ -320,7 +320,7 @@ def _spin(orientation: Array, window_s: float, tick_s: float) -> Array:
 
 
 def _gaps(position_m: Array) -> tuple[Array, Array, Array]:
-    """Squared distances ``(o, o, t)``; distance to the nearest other, in space and horizontally ``(o, t)``."""
+    """Squared distances ``(o, o, t)``; distance to the nearest other, in space and flat ``(o, t)``."""
     n, length = position_m.shape[:2]
     x, y, z = np.moveaxis(position_m, -1, 0)
     flat = (x[:, None] - x[None]) ** 2 + (y[:, None] - y[None]) ** 2

@@ -23,7 +23,7 @@ class Segmenter:
     """A tree, or an ensemble of trees, with all that is needed to use it and to know where it comes from."""
 
     method: str
-    """``decision_tree``, ``random_forest``, ``extra_trees`` or ``gradient_boosting``."""
+    """``decision_tree``, ``distilled_tree``, ``random_forest``, ``extra_trees`` or ``gradient_boosting``."""
     activities: tuple[str, ...]
     """Classes, sorted."""
     feature_names: tuple[str, ...]

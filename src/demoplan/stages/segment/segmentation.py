@@ -14,7 +14,7 @@ from demoplan.language.types import TypeHierarchy
 from demoplan.stages.segment.decoding import decoded, runs_of, without_short_runs
 from demoplan.stages.segment.features import features_of
 from demoplan.stages.segment.model import Segmenter
-from demoplan.stages.segment.rules import PUBLISHED_RULES, RuleTree, classify_by_rules
+from demoplan.stages.segment.rules import RULES, RuleTree, classify_by_rules
 from demoplan.stages.segment.tracks import TrackParams, Tracks, roles_of, tracks_of
 from demoplan.stages.segment.trees import probabilities
 from demoplan.stages.segment.windows import n_ticks
@@ -44,7 +44,7 @@ def segment(
     facts: dy.DataFrame[Facts],
     entities: Mapping[str, str],
     types: TypeHierarchy,
-    segmenter: Segmenter | RuleTree = PUBLISHED_RULES,
+    segmenter: Segmenter | RuleTree = RULES,
     *,
     params: SegmentParams = SegmentParams(),
 ) -> dy.DataFrame[Activities]:
@@ -55,7 +55,7 @@ def segment(
         facts: Atoms of the same episodes: ``inHand``, ``actedOn`` and ``handMove`` are read.
         entities: Instance → type; entities of the frames that are not named here are left out.
         types: Hierarchy of types; ``Hand`` and ``Surface`` say what each instance is to a hand.
-        segmenter: A trained segmenter, or the published rule tree, which needs no labels.
+        segmenter: A trained segmenter, or a rule tree, which needs no labels.
         params: Segmentation choices.
 
     Returns:

@@ -26,13 +26,15 @@ from demoplan.tables import Activities, Facts, Frames
 class TrainParams:
     """What can be chosen about training."""
 
-    method: Literal["decision_tree", "random_forest", "extra_trees", "gradient_boosting"] = "decision_tree"
+    method: Literal[
+        "decision_tree", "distilled_tree", "random_forest", "extra_trees", "gradient_boosting"
+    ] = "decision_tree"
     features: FeatureParams = field(default_factory=FeatureParams)
     segmentation: SegmentParams = field(default_factory=SegmentParams)
     """How held-out episodes are segmented; in training only its thresholds of motion count."""
     sample_every_s: float = 0.04
     """One tick in this time is a training example [s]: neighbours repeat each other."""
-    min_leaf_s: float = 0.6
+    min_leaf_s: float = 0.3
     """Every leaf holds at least this much of the demonstrations [s]."""
     max_leaves: int | None = None
     """Leaves of one tree; null: as many as ``min_leaf_s`` allows."""
