@@ -119,8 +119,10 @@ def _read(
     reader = TraceReader(signatures)
     gathered: Gathered | None = None
     for text, path in _texts(root, files, faults):
-        objects, found = _objects(root, path, signatures)
-        faults += found
+        objects: dict[str, str] | None = None
+        if domain.is_file():  # inferred types are not those of the problems
+            objects, found = _objects(root, path, signatures)
+            faults += found
         reader.add(text, path, objects)
         if reader.n_pending > _MAX_PENDING:
             gathered = gather(reader.take(), params, gathered)

@@ -16,7 +16,7 @@ from demoplan.language.traces.values import ABSENT, Codes, Fault, Signatures, Tr
 from demoplan.language.types import ROOT
 
 _ITEM = re.compile(r"\(\s*(:state|:init|:action|:operator|operator:)(?=[\s()])", re.IGNORECASE)
-_HEAD = re.compile(r"\s*\(\s*(?::?(?:trajectory|observation))?\s*", re.IGNORECASE)
+_HEAD = re.compile(r"\s*\(\s*(?::?(?:trajectory|observation))?\s*\)?\s*", re.IGNORECASE)
 _PARTIAL_HEAD = re.compile(
     r"\s*\(\s*(?::?(?:trajectory|observation))?\s*\(?\s*:partial\s*\)?\s*", re.IGNORECASE
 )
@@ -178,7 +178,10 @@ class TraceReader:
         """Read a trace that has nothing wrong with it; otherwise change nothing and say so."""
         if not _SKELETON.fullmatch(_LEAF.sub("", source.text)):
             return False
-        bodies = _ITEM.split(source.text)[2::2]
+        head, *parts = _ITEM.split(source.text)
+        if _PARTIAL_HEAD.fullmatch(head):
+            return False
+        bodies = parts[1::2]
         states = [_LEAF.findall(body) for body in bodies[::2]]
         codes = np.fromiter(
             map(self._codes.__getitem__, itertools.chain.from_iterable(states)), dtype=np.int64
