@@ -3,7 +3,7 @@
 import json
 from pathlib import Path
 
-import demoplan.tables as tables
+from demoplan import tables
 from demoplan.manifests.dataset import Dataset
 from demoplan.manifests.mapping import Mapping
 from demoplan.manifests.vocabulary import VocabularyFile
@@ -12,9 +12,7 @@ from demoplan.tables.contracts import contract
 
 def contracts() -> dict[str, str]:
     """File name below ``schemas/`` → content, of every contract that is written from code."""
-    files = {
-        f"tables/{name.lower()}.json": _json(contract(getattr(tables, name))) for name in tables.__all__
-    }
+    files = {f"tables/{name.lower()}.json": _json(contract(getattr(tables, name))) for name in tables.__all__}
     for name, model in (("dataset", Dataset), ("mapping", Mapping), ("vocabulary", VocabularyFile)):
         files[f"{name}.schema.json"] = _json(model.model_json_schema())
     return files

@@ -33,7 +33,15 @@ from demoplan.stages.segment import Segmenter, TrainParams
 from demoplan.store import EpisodeState, Store
 from demoplan.store.atomic import write_bytes
 from demoplan.tables import Activities, Confusions, Episodes, Plans, Scores, Topics
-from demoplan.viewers.report import Confusion, DomainText, Failure, Reference, ReportContent, render_report
+from demoplan.viewers.report import (
+    Confusion,
+    DomainText,
+    Failure,
+    Reference,
+    RefutedPlan,
+    ReportContent,
+    render_report,
+)
 
 FRESH = "fresh "
 """Put before the groups of trials of people who are not part of the dataset."""
@@ -222,7 +230,9 @@ def _report(
     combined = main.learned[COMBINED]
     plans = [tried.plans for tried in main.tried]
     goals = {tried.plans.item(0, "goal"): tried.goal.name for tried in main.tried if tried.plans.height}
-    names = {learned.version.domain_id: name for name, learned in main.learned.items()}
+    # The combined domain first: it is the one that people come for.
+    ordered = sorted(main.learned.items(), key=lambda item: (item[0] != COMBINED, item[0]))
+    names = {learned.version.domain_id: name for name, learned in ordered}
     failures = [
         Failure(kind="plan", subject=f"{t.trial.domain}: {t.trial.goal}", cause=t.trial.cause)
         for part in parts
@@ -266,13 +276,22 @@ def _report(
             if plans
             else None,
             goals=tuple(goals.items()),
+            refuted=tuple(
+                RefutedPlan(
+                    domain_id=tried.learned.version.domain_id,
+                    goal=tried.plans.item(0, "goal"),
+                    cause=tried.trial.cause,
+                )
+                for tried in main.tried
+                if tried.trial.cause is not None and tried.plans.item(0, "is_validated")
+            ),
             failures=tuple(failures),
         )
     )
 
 
 def _matrices(confusions: dy.DataFrame[Confusions]) -> tuple[Confusion, ...]:
-    """The overall confusion of each method, in milliseconds of time."""
+    """The overall confusion of each method, in seconds."""
     matrices = []
     for (method,), rows in confusions.filter(pl.col("subject") == "all").group_by(
         "method", maintain_order=True
@@ -283,8 +302,8 @@ def _matrices(confusions: dy.DataFrame[Confusions]) -> tuple[Confusion, ...]:
             Confusion(
                 method=str(method),
                 labels=labels,
-                counts=tuple(tuple(round(spent.get((t, p), 0) / 1e6) for p in labels) for t in labels),
-                unit="milliseconds",
+                counts=tuple(tuple(round(spent.get((t, p), 0) / 1e9) for p in labels) for t in labels),
+                unit="seconds",
             )
         )
     return tuple(matrices)
