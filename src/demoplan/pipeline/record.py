@@ -90,7 +90,7 @@ def record(
     formats: Sequence[LogFormat] = ("mcap", "rosbag2", "rosbag1"),
     name: str | None = None,
     vocabulary: Path | None = None,
-    is_vocabulary_linked: bool = False,
+    is_vocabulary_linked: bool | None = None,
     params: RecordParams = RecordParams(),
     on_episode: Callable[[str], None] | None = None,
 ) -> dy.DataFrame[Recordings]:
@@ -104,7 +104,8 @@ def record(
         formats: Log formats; participant k has format k, beginning anew when they are used up.
         name: Name of the dataset; by default the folder's.
         vocabulary: Vocabulary file; by default the checkout's ``schemas/vocabularies/tabletop.yaml``.
-        is_vocabulary_linked: Name the vocabulary by its relative path instead of copying it.
+        is_vocabulary_linked: Name the vocabulary by its relative path instead of copying it; by default only
+            where the folder is in the checkout that the vocabulary is part of.
         params: Physics, rig and label definitions.
         on_episode: Called with each episode's id when it is written.
 
@@ -319,12 +320,15 @@ def _labels_json(
     return (json.dumps(content, indent=1) + "\n").encode()
 
 
-def _place_vocabulary(out_dir: Path, vocabulary: Path | None, *, is_linked: bool) -> str:
-    source = vocabulary or Path(__file__).resolve().parents[3] / "schemas" / "vocabularies" / "tabletop.yaml"
-    if is_linked:
-        return Path(os.path.relpath(source.resolve(), out_dir.resolve())).as_posix()
+def _place_vocabulary(out_dir: Path, vocabulary: Path | None, *, is_linked: bool | None) -> str:
+    checkout = Path(__file__).resolve().parents[3]
+    source = vocabulary or checkout / "schemas" / "vocabularies" / "tabletop.yaml"
+    if is_linked is None:
+        is_linked = vocabulary is None and out_dir.resolve().is_relative_to(checkout)
     if not source.is_file():
         raise UsageError(f"{source}: no vocabulary here; give one")
+    if is_linked:
+        return Path(os.path.relpath(source.resolve(), out_dir.resolve())).as_posix()
     write_bytes(out_dir / "vocabulary.yaml", source.read_bytes())
     return "vocabulary.yaml"
 

@@ -2,7 +2,7 @@ import pytest
 
 pytest.importorskip("mujoco")
 
-from demoplan.engines.mujoco.tasks import STUDY_TASKS, Step, parse_task
+from demoplan.engines.mujoco.tasks import _NAMED, STUDY_TASKS, Step, parse_task
 from demoplan.errors import UnknownNameError, UsageError
 
 
@@ -13,14 +13,23 @@ def test_the_study_stacks_one_and_two_cubes_with_either_hand():
 
 
 def test_a_task_can_be_spelled_out():
-    task = parse_task("mine: red>blue, green>red@left; start yellow>green; cubes 5")
+    task = parse_task("mine: red>blue, green>red@left; start yellow>orange; cubes 5")
     assert task.steps == (
         Step("cube_red", "cube_blue", "Right_hand"),
         Step("cube_green", "cube_red", "Left_hand"),
     )
-    assert task.start == (("cube_yellow", "cube_green"),)
+    assert task.start == (("cube_yellow", "cube_orange"),)
     assert task.n_cubes == 5
     assert task.hand is None
+
+
+def test_every_named_task_can_be_done():
+    for what in _NAMED:
+        task = parse_task(f"{what}-left")
+        moves = ", ".join(f"{step.cube}>{step.onto}" for step in task.steps)
+        start = ", ".join(f"{cube}>{onto}" for cube, onto in task.start)
+        spelled = f"spelled: {moves}" + (f"; start {start}" if start else "") + f"; cubes {task.n_cubes}"
+        assert parse_task(spelled).goal == task.goal
 
 
 def test_the_goal_is_where_each_cube_was_put_last():
@@ -37,6 +46,9 @@ def test_the_goal_is_where_each_cube_was_put_last():
         ("a: red", UsageError, ["cube>onto"]),
         ("../a: red>blue", UsageError, ["../a"]),
         ("a: red>blue; stop", UsageError, ["stop", "start"]),
+        ("a: red>blue, green>blue", UsageError, ["cube_red is on cube_blue"]),
+        ("a: red>blue; start green>red", UsageError, ["cube_green is on cube_red"]),
+        ("a: red>table; start red>blue, green>blue", UsageError, ["both on cube_blue"]),
         ("a: red>orange", UnknownNameError, ["cube_orange", "cube_yellow"]),
     ],
 )

@@ -77,7 +77,7 @@ def parse_task(text: str) -> Task:
     """The task that a text names or spells out.
 
     A name is ``<what>-<hand>``, as in ``two-left``. Spelled out: ``name: red>blue, green>red@left; start
-    yellow>green; cubes 5`` puts red on blue with the right hand, then green on red with the left one.
+    yellow>orange; cubes 5`` puts red on blue with the right hand, then green on red with the left one.
 
     >>> parse_task("one-left").goal_text
     'onTop(cube_red, cube_blue)'
@@ -86,7 +86,7 @@ def parse_task(text: str) -> Task:
 
     Raises:
         UnknownNameError: If the name, a hand or a cube is unknown.
-        UsageError: If the text is not a task.
+        UsageError: If the text is not a task, or asks for what cannot be done.
     """
     if ":" not in text:
         what, _, side = text.rpartition("-")
@@ -118,7 +118,28 @@ def parse_task(text: str) -> Task:
     ):
         if thing != TABLE and thing not in present:
             raise UnknownNameError("cube", thing, present, f"task {name!r} with {n_cubes} cubes")
+    _refuse_impossible(name, start, steps)
     return Task(name, steps, start, n_cubes)
+
+
+def _refuse_impossible(name: str, start: tuple[tuple[str, str], ...], steps: tuple[Step, ...]) -> None:
+    """Only what nothing stands on can be taken, or be put on: a task that asks for more is a mistake."""
+    covered_by: dict[str, str] = {}
+    for cube, onto in start:
+        if onto != TABLE and onto in covered_by:
+            raise UsageError(f"task {name!r}: at the start {covered_by[onto]} and {cube} are both on {onto}")
+        covered_by[onto] = cube
+    covered_by.pop(TABLE, None)
+    for step in steps:
+        for thing in (step.cube, step.onto):
+            if thing in covered_by:
+                raise UsageError(
+                    f"task {name!r}: {step.cube} cannot go on to {step.onto} "
+                    f"while {covered_by[thing]} is on {thing}"
+                )
+        covered_by = {below: cube for below, cube in covered_by.items() if cube != step.cube}
+        if step.onto != TABLE:
+            covered_by[step.onto] = step.cube
 
 
 def _move(text: str) -> tuple[str, str, str | None]:
