@@ -82,3 +82,7 @@ class PlannerError(DemoplanError):
 
 class StoreError(DemoplanError):
     """The store cannot be read or written."""
+
+
+class SimulationError(DemoplanError):
+    """A scene or robot cannot be simulated: objects stand in each other, or a description is missing."""
