@@ -1,3 +1,4 @@
+# ruff: noqa: PLC0415 (each reader is imported only in the process that measures it)
 """How fast logs decode into columns, beside other readers and the floor; and how much memory it takes.
 
 One command prints the table::
@@ -7,9 +8,11 @@ One command prints the table::
 
 The log is ten minutes of ``/tf`` at 100 Hz, twelve transforms a message (60 000 messages, 720 000 rows), from
 random walks as motion capture gives them. It is written as MCAP (CDR, zstd, chunks of the library's default
-1 MiB), rosbag2 sqlite3 (not compressed), and ROS 1 bag (lz4, the library's 1 MiB chunks). Each reader runs in a
-process of its own, several times; the figure is the median of the CPU time of the whole process (user and
-system, all threads) between opening the file and holding the result. What a reader's result is:
+1 MiB), rosbag2 sqlite3 (not compressed), and ROS 1 bag (lz4, the library's 1 MiB chunks).
+
+Each reader runs in a process of its own, several times; the figure is the median of the CPU time of the whole
+process (user and system, all threads) between opening the file and holding the result. Imports are not counted.
+What a reader's result is:
 
 - *columns*: arrays of stamps, frame names (as codes), positions and orientations, by demoplan's decoder;
 - *samples*: demoplan's validated ``Samples`` table, with four text columns;
@@ -300,7 +303,7 @@ def measure(log_format: str, reader: str, path: Path) -> None:
 def import_all(reader: str) -> None:
     """Imports are not measured: a process reads many logs."""
     if reader.startswith("demoplan"):
-        import demoplan.logs
+        import demoplan.logs  # noqa: F401
         from demoplan.logs.definitions import Definitions
         from demoplan.logs.messages import Channel
 
@@ -369,9 +372,10 @@ def table(folder: Path, n_messages: int, n_runs: int, formats: list[str], slow_r
             assert reader == "floor" or runs[0]["n"] == n_messages * N_FRAMES, (reader, runs[0])
             medians[reader] = statistics.median(times)
             ours = medians.get("demoplan, columns")
+            peak = max(run["peak"] for run in runs) / 2**20
             print(
                 f"| {log_format} | {reader} | {medians[reader]:.3f} | {min(times):.3f}–{max(times):.3f} "
-                f"| {max(run['peak'] for run in runs) / 2**20:.0f} | {medians[reader] / medians['floor']:.1f} "
+                f"| {peak:.0f} | {medians[reader] / medians['floor']:.1f} "
                 f"| {'' if ours is None else f'{medians[reader] / ours:.1f}'} |",
                 flush=True,
             )
@@ -379,8 +383,6 @@ def table(folder: Path, n_messages: int, n_runs: int, formats: list[str], slow_r
 
 def large(folder: Path, formats: list[str], n_bytes: int) -> None:
     """Time and peak memory on logs of 2 GiB, whatever their layout."""
-    from mcap.writer import CompressionType
-
     size = len(next(payloads(1, is_ros1=False))[1])
     n_messages = n_bytes // size + 1
     print(f"\nlogs of {n_bytes / 2**30:.1f} GiB of messages, streamed\n")
@@ -394,7 +396,6 @@ def large(folder: Path, formats: list[str], n_bytes: int) -> None:
         layouts["sqlite3"] = lambda path: write_sqlite3(path, n_messages)
     if "rosbag1" in formats:
         layouts["rosbag1, lz4"] = lambda path: write_rosbag1(path, n_messages)
-    del CompressionType
     for name, write in layouts.items():
         with tempfile.TemporaryDirectory(dir=folder) as place:
             path = Path(place) / "log"

@@ -219,5 +219,5 @@ def test_a_folder_or_database_that_is_no_log_is_refused(making, tmp_path):
     database.execute("CREATE TABLE other (id INTEGER)")
     database.commit()
     database.close()
-    with pytest.raises(LogError, match="not a rosbag2.*found: other"):
+    with pytest.raises(LogError, match=r"not a rosbag2.*found: other"):
         read(tmp_path / "x.db3", making.MAPPING, "e")

@@ -1,6 +1,7 @@
 """MCAP files and ROS bags: into sample tables, and out of them."""
 
-from demoplan.logs.inspecting import InspectParams, inspect
+from demoplan.logs.diagnosing import InspectParams
+from demoplan.logs.inspecting import inspect
 from demoplan.logs.opening import fingerprint
 from demoplan.logs.reading import Reading, SampleStream, open_log, read
 from demoplan.logs.reporting import ClockReport, Finding, LogReport, TopicReport, TransformReport

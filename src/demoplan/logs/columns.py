@@ -24,7 +24,7 @@ _NANOSECONDS = ("nanosec", "nsec", "nsecs", "nanos")
 class Field:
     """One wanted field.
 
-    ``paths`` are alternatives: the first that the type has is taken. A type may lack a field that is not required.
+    ``paths`` are alternatives: the first that the type has is taken. Only a required field must exist.
     ``labels`` are the sub-fields of a vector (or its first elements, if it is an array); none for a scalar.
     """
 

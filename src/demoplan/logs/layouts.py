@@ -2,9 +2,9 @@
 
 Where a field of a message lies depends on the lengths of the strings and lists before it, and on nothing
 else. So messages of one type are grouped by their own length and these lengths; each group is a matrix with
-one row per message, of which a field is some columns. Layouts repeat: once found, they are recognised in later
-messages by comparing the lengths where they stand. One walk through the type is made per layout, not per
-message.
+one row per message, of which a field is some columns. Layouts repeat: once found, they are recognised in
+later messages by comparing the lengths where they stand. One walk through the type is made per layout, not
+per message.
 
 Source: OMG, "DDS Interoperability Wire Protocol" 2.5, section 10 (CDR, XCDR1 alignment);
 http://wiki.ros.org/ROS/Connection%20Header and genpy's serialisation (ROS 1: packed, little-endian).

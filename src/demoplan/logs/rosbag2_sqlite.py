@@ -51,8 +51,8 @@ class Rosbag2Sqlite:
     def _opened(self, tally: Tally) -> Iterator[sqlite3.Connection]:
         """The database, opened so that nothing is written beside the log.
 
-        A recorder that was killed leaves its last messages in a ``-wal`` file. To read that, sqlite3 must write
-        into the folder: so a copy is read instead.
+        A recorder that was killed leaves its last messages in a ``-wal`` file. To read that, sqlite3 must
+        write into the folder: so a copy is read instead.
         """
         wal = self.path.with_name(self.path.name + "-wal")
         with tempfile.TemporaryDirectory(prefix="demoplan-") as folder:
@@ -70,7 +70,7 @@ class Rosbag2Sqlite:
             except sqlite3.Error as error:
                 raise LogError(self.path, f"sqlite3 does not open it: {error}") from None
             with closing(database):
-                # sqlite3 refuses a file that was cut, unless it may assume the worst; nothing is ever written.
+                # sqlite3 refuses a file that was cut, unless told so; nothing is ever written.
                 database.execute("PRAGMA writable_schema = ON")
                 database.execute("PRAGMA trusted_schema = OFF")
                 if path is self.path and (lost := _n_lost(path)):
@@ -98,7 +98,7 @@ class Rosbag2Sqlite:
             profiles = "offered_qos_profiles" if "offered_qos_profiles" in columns else "''"
             channels = {}
             for number, topic, message_type, encoding, profile in database.execute(
-                f"SELECT id, name, type, serialization_format, {profiles} FROM topics ORDER BY id"
+                f"SELECT id, name, type, serialization_format, {profiles} FROM topics ORDER BY id"  # noqa: S608
             ):
                 schema_encoding, schema = definitions.get(message_type, ("", b""))
                 # QoS durability 1 is transient local: what ROS 1 calls latched.

@@ -275,13 +275,13 @@ def _joined(parts: list[NDArray[np.generic] | None], is_w_last: bool) -> NDArray
     return turned
 
 
-def _is_finite(values: NDArray[np.float64]) -> NDArray[np.bool_]:
+def _is_finite(values: NDArray[np.floating]) -> NDArray[np.bool_]:
     """Which rows hold numbers only. A sum that is finite settles it for all rows at once."""
     with np.errstate(over="ignore", invalid="ignore"):
         is_all = np.isfinite(values.sum())
     if is_all:
         return np.ones(len(values), bool)
-    finite: NDArray[np.bool_] = np.isfinite(values).all(axis=1)
+    finite: NDArray[np.bool_] = np.logical_and.reduce(np.isfinite(values), axis=1)
     return finite
 
 
@@ -298,7 +298,9 @@ def _maybe(values: NDArray[np.generic] | None, n_rows: int, dtype: pl.DataType) 
     if values is None:
         return _constant(None, n_rows, dtype)
     column = pl.Series(np.ascontiguousarray(values), dtype=dtype)
-    if not np.issubdtype(values.dtype, np.floating) or _is_finite(values.reshape(len(values), -1)).all():
+    if not np.issubdtype(values.dtype, np.floating):
+        return column
+    if _is_finite(values.astype(np.float64, copy=False).reshape(len(values), -1)).all():
         return column
     # The table holds numbers or nothing: what is not finite becomes null, and its row is not tracked.
     if values.ndim == 1:

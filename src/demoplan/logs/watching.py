@@ -169,3 +169,27 @@ class FrameGraph:
                         seen.add(child)
                         pending.append(child)
         return tuple(sorted(in_loop))
+
+
+@dataclass(eq=False)
+class TopicWatch:
+    """Everything gathered about one topic."""
+
+    clocks: dict[str, ClockWatch] = field(default_factory=dict)
+    poses: PoseWatch | None = None
+    problems: list[str] = field(default_factory=list)
+    n_refused: int = 0
+    last_index: int = -1
+    _waiting: dict[str, list[tuple[Times, Times, Times]]] = field(default_factory=dict)
+
+    def note(self, clock: str, indexes: Times, stamps: Times, log: Times) -> None:
+        """Keep stamps until ``settle``: channels of one topic interleave, and come one after the other."""
+        self._waiting.setdefault(clock, []).append((indexes, stamps, log))
+
+    def settle(self, jump_s: float) -> None:
+        """Look at the stamps kept so far, in file order."""
+        for clock, parts in self._waiting.items():
+            indexes, stamps, log = (np.concatenate(column) for column in zip(*parts, strict=True))
+            order = np.argsort(indexes, kind="stable")
+            self.clocks.setdefault(clock, ClockWatch(jump_s)).see(stamps[order], log[order])
+        self._waiting.clear()
