@@ -2,17 +2,22 @@
 
 A robot's place is always reachable, a connection goes both ways. Among an action's conditions such literals
 hold in every instance whether the action needs them or not, and stating them makes a domain longer and, where
-a new problem breaks the habit, wrong. A literal that the action deletes is never left out.
+a new problem breaks the habit, wrong.
+
+That it was so in all that was seen is not enough: a planner finds the one way to break a habit that no
+demonstrator tried. So an implication counts only if the learned actions keep it, whatever they are applied
+to: what makes the one literal true must make the other true or need it, and what makes the other false must
+make the one false. A literal that the action itself deletes is never left out.
 """
 
 import itertools
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from demoplan.language.traces import TraceSet
-from demoplan.language.traces.values import Codes
+from demoplan.language.traces.values import Codes, Signatures
 from demoplan.stages.denoise.beliefs import Beliefs
 from demoplan.stages.denoise.params import DenoiseParams
 from demoplan.stages.denoise.touches import Candidate, GroundCodes, Spans, Touches
@@ -119,11 +124,85 @@ def _untouched(
     return code, span, 1 / (1 + np.exp(-np.clip(odds, -50, 50)))
 
 
+@dataclass(frozen=True)
+class Rules:
+    """What the actions were found to need and to do, before anything is left out; by action."""
+
+    conditions: Mapping[int, Sequence[Candidate]]
+    adds: Mapping[int, Sequence[Candidate]]
+    deletes: Mapping[int, Sequence[Candidate]]
+
+    def keep(self, by: int, literal: int, places: tuple[int, ...], signatures: Signatures) -> bool:
+        """Whether no action can break "``by`` implies ``literal``".
+
+        Args:
+            by: Predicate that implies.
+            literal: Predicate that is implied.
+            places: Per argument of ``literal``, which argument of ``by`` it is.
+            signatures: Types, to tell which parameters may be the same object.
+        """
+        arity = len(signatures.predicates[by].argument_types)
+        for action in self.adds:
+            given = [*self.conditions[action], *self.adds[action]]
+            for made in self.adds[action]:
+                if made.predicate != by or _has(self.conditions[action], by, made.terms):
+                    continue
+                wanted = tuple(made.terms[place] for place in places)
+                if not _has(given, literal, wanted):
+                    return False
+                if not _has(self.adds[action], literal, wanted) and any(
+                    each.predicate == literal and _may_be_same(each.terms, wanted, action, signatures)
+                    for each in self.deletes[action]
+                ):
+                    return False
+            for lost in self.deletes[action]:
+                if lost.predicate != literal:
+                    continue
+                if set(places) != set(range(arity)):
+                    return False
+                terms = tuple(lost.terms[places.index(place)] for place in range(arity))
+                if not _has(self.deletes[action], by, terms):
+                    return False
+        return True
+
+    def is_lost(self, predicate: int) -> bool:
+        """Whether any action deletes atoms of a predicate."""
+        return any(each.predicate == predicate for lost in self.deletes.values() for each in lost)
+
+
+def _has(literals: Sequence[Candidate], predicate: int, terms: tuple[int, ...]) -> bool:
+    return any(each.predicate == predicate and each.terms == terms for each in literals)
+
+
+def _may_be_same(
+    terms: tuple[int, ...], others: tuple[int, ...], action: int, signatures: Signatures
+) -> bool:
+    """Whether two atoms of one action can be the same ground atom."""
+    types = signatures.types
+
+    def kind(term: int) -> str:
+        if term < 0:
+            return signatures.constants[-1 - term][1]
+        return signatures.actions[action].parameters[term].type_name
+
+    return all(
+        one == other
+        or (
+            not (one < 0 and other < 0)
+            and (types.is_subtype(kind(one), kind(other)) or types.is_subtype(kind(other), kind(one)))
+        )
+        for one, other in zip(terms, others, strict=True)
+    )
+
+
 class Implications:
     """Answers whether one literal implies another; keeps what it has answered."""
 
-    def __init__(self, traces: TraceSet, seen: Snapshots, codes: GroundCodes, params: DenoiseParams) -> None:
+    def __init__(
+        self, traces: TraceSet, seen: Snapshots, rules: Rules, codes: GroundCodes, params: DenoiseParams
+    ) -> None:
         """Keep what is asked about."""
+        self._rules = rules
         self._traces, self._seen, self._codes, self._params = traces, seen, codes, params
         self._answers: dict[tuple[object, ...], bool] = {}
         predicate = codes.predicate_of(seen.sure_code)
@@ -148,13 +227,15 @@ class Implications:
         if key not in self._answers:
             rows = self._rows[by.predicate]
             objects = [self._codes.object_of(self._seen.sure_code[rows], place) for place in places]
-            self._answers[key] = self._holds(literal.predicate, objects, self._seen.sure_state[rows])
+            self._answers[key] = self._holds(
+                literal.predicate, objects, self._seen.sure_state[rows]
+            ) and self._rules.keep(by.predicate, literal.predicate, places, self._traces.signatures)
         return self._answers[key]
 
     def universal(self, literal: Candidate) -> bool:
         """Whether a literal over at most one parameter holds for every object of the parameter's type."""
         terms = set(literal.terms)
-        if len(terms) > 1 or min(terms, default=0) < 0:
+        if len(terms) > 1 or min(terms, default=0) < 0 or self._rules.is_lost(literal.predicate):
             return False
         if not terms:
             return self._holds(literal.predicate, [], np.arange(self._seen.n))

@@ -5,13 +5,14 @@ from dataclasses import dataclass
 import dataframely as dy
 import numpy as np
 import polars as pl
+from numpy.typing import NDArray
 
 from demoplan.language.atoms import Atom, Literal
 from demoplan.language.traces import TraceSet
 from demoplan.language.traces.values import Codes
 from demoplan.stages.denoise.beliefs import ADD, DELETE, KEEP, Beliefs, believe
 from demoplan.stages.denoise.counts import Counts, count
-from demoplan.stages.denoise.implications import Implications, needed, snapshots
+from demoplan.stages.denoise.implications import Implications, Rules, needed, snapshots
 from demoplan.stages.denoise.params import DenoiseParams
 from demoplan.stages.denoise.touches import Candidate, GroundCodes, candidates, spans, touch
 from demoplan.tables import Literals, Operators
@@ -99,17 +100,24 @@ def conclude(gathered: Gathered, params: DenoiseParams = DenoiseParams()) -> Den
     chosen = spans(traces, params)
     touches = touch(traces, chosen, over, codes)
     beliefs = believe(touches, over, len(traces.signatures.predicates), params)
+    n_actions = len(traces.signatures.actions)
+    owner = np.array([each.action for each in over], dtype=np.int64)
+    is_seen = gathered.counts.n_transitions[owner] > 0
+    verdicts = _verdicts(over, beliefs, params)
     implications = None
     if params.is_minimal and len(touches.entry_touch):
         seen = snapshots(traces, chosen, touches, beliefs, codes, params)
-        implications = Implications(traces, seen, codes, params)
-    by_action: dict[int, list[int]] = {}
-    for index, each in enumerate(over):
-        by_action.setdefault(each.action, []).append(index)
+        rules = Rules(
+            conditions=_by_action(over, verdicts.is_condition & is_seen, n_actions),
+            adds=_by_action(over, (verdicts.effect == ADD) & is_seen, n_actions),
+            deletes=_by_action(over, (verdicts.effect == DELETE) & is_seen, n_actions),
+        )
+        implications = Implications(traces, seen, rules, codes, params)
     rows: list[dict[str, object]] = []
-    for action, indices in sorted(by_action.items()):
-        if gathered.counts.n_transitions[action]:
-            rows += _literals(traces, over, indices, beliefs, gathered.counts, implications)
+    for action in np.flatnonzero(gathered.counts.n_transitions):
+        rows += _literals(
+            traces, over, np.flatnonzero(owner == action), verdicts, gathered.counts, implications
+        )
     rates = zip(beliefs.rates.missed.tolist(), beliefs.rates.imagined.tolist(), strict=True)
     names = [each.name for each in traces.signatures.predicates]
     return Denoised(
@@ -120,6 +128,43 @@ def conclude(gathered: Gathered, params: DenoiseParams = DenoiseParams()) -> Den
         n_rounds=beliefs.n_rounds,
         is_settled=beliefs.is_settled,
     )
+
+
+@dataclass(frozen=True, eq=False)
+class _Verdicts:
+    """Per candidate: what it is taken for, and how likely that is."""
+
+    is_condition: NDArray[np.bool_]
+    effect: Codes
+    required: NDArray[np.float64]
+    """Probability that it is a condition."""
+    effects: NDArray[np.float64]
+    """``(n_candidates, 3)``: probabilities of keeping, adding, deleting."""
+
+
+def _verdicts(over: tuple[Candidate, ...], beliefs: Beliefs, params: DenoiseParams) -> _Verdicts:
+    hypotheses = beliefs.hypotheses
+    required = beliefs.roles[:, hypotheses.condition == 1].sum(axis=1)
+    effects = np.stack(
+        [beliefs.roles[:, hypotheses.effect == each].sum(axis=1) for each in (KEEP, ADD, DELETE)], axis=1
+    )
+    effect = effects.argmax(axis=1)
+    action = np.array([each.action for each in over], dtype=np.int64)
+    for each in np.unique(action):
+        mine = np.flatnonzero(action == each)
+        likeliest = mine[effects[mine, ADD].argmax()]
+        if not (effect[mine] == ADD).any() and effects[likeliest, ADD] >= params.effect_despite:
+            effect[likeliest] = ADD
+    return _Verdicts((required >= _HALF) & (effect != ADD), effect, required, effects)
+
+
+def _by_action(
+    over: tuple[Candidate, ...], is_chosen: NDArray[np.bool_], n_actions: int
+) -> dict[int, list[Candidate]]:
+    found: dict[int, list[Candidate]] = {action: [] for action in range(n_actions)}
+    for index in np.flatnonzero(is_chosen):
+        found[over[index].action].append(over[index])
+    return found
 
 
 def _n_episodes(traces: TraceSet) -> Codes:
@@ -165,28 +210,21 @@ def _operators(gathered: Gathered) -> dy.DataFrame[Operators]:
 def _literals(
     traces: TraceSet,
     over: tuple[Candidate, ...],
-    indices: list[int],
-    beliefs: Beliefs,
+    indices: Codes,
+    verdicts: _Verdicts,
     counts: Counts,
     implications: Implications | None,
 ) -> list[dict[str, object]]:
     """Rows of one action: every candidate as a condition, and those that may change as effects."""
-    hypotheses = beliefs.hypotheses
-    role = beliefs.roles[indices]
-    required = role[:, hypotheses.condition == 1].sum(axis=1)
-    effects = np.stack(
-        [role[:, hypotheses.effect == each].sum(axis=1) for each in (KEEP, ADD, DELETE)], axis=1
-    )
-    effect = effects.argmax(axis=1)
-    is_condition = (required >= _HALF) & (effect != ADD)
-    conditions = [over[indices[n]] for n in np.flatnonzero(is_condition)]
-    is_deleted = {over[indices[n]]: bool(effect[n] == DELETE) for n in range(len(indices))}
+    conditions = [over[index] for index in indices if verdicts.is_condition[index]]
+    is_deleted = {over[index]: bool(verdicts.effect[index] == DELETE) for index in indices}
     kept, reasons = conditions, dict[Candidate, str]()
     if implications is not None:
         kept, reasons = needed(conditions, is_deleted, implications)
     rows: list[dict[str, object]] = []
-    for n, index in enumerate(indices):
+    for index in indices:
         each = over[index]
+        effect = verdicts.effect[index]
         shared = {
             "operator": traces.signatures.actions[each.action].name,
             "predicate": each.atom.predicate,
@@ -200,14 +238,14 @@ def _literals(
                 **before,
                 "role": "precondition",
                 "is_positive": True,
-                "probability": min(float(required[n]), 1.0),
+                "probability": min(float(verdicts.required[index]), 1.0),
                 "is_kept": each in kept,
                 "note": reasons.get(each),
             }
         )
-        if effect[n] != KEEP:
+        if effect != KEEP:
             true, false = int(counts.true_after[index]), int(counts.false_after[index])
-            is_added = bool(effect[n] == ADD)
+            is_added = bool(effect == ADD)
             rows.append(
                 {
                     **shared,
@@ -215,7 +253,7 @@ def _literals(
                     "n_against": false if is_added else true,
                     "role": "effect",
                     "is_positive": is_added,
-                    "probability": min(float(effects[n, effect[n]]), 1.0),
+                    "probability": min(float(verdicts.effects[index, effect]), 1.0),
                     "is_kept": True,
                     "note": None,
                 }

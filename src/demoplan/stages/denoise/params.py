@@ -48,6 +48,9 @@ class DenoiseParams:
     """Longer traces are cut into spans of this many states, each on its own: bounds time and memory."""
     max_instances: int = 1_500
     """Spans are taken in order, as long as one of their actions has fewer instances than this."""
+    effect_despite: float = 0.05
+    """An action without any likely added literal is given its likeliest, if that is at least this likely:
+    nobody acts to no end."""
     is_minimal: bool = True
     """Leave out conditions that others imply in everything seen."""
     n_implied_min: int = 10
