@@ -128,13 +128,11 @@ def _signatures(
             code = predicate[keep] * weights[-1] + (variables[keep] + 1) @ weights[:-1]
             places.append(place[keep])
             codes.append(code * 4 + side * 2 + is_unknown)
-    atoms = (
-        pl.DataFrame({"place": np.concatenate(places), "code": np.concatenate(codes)})
-        .unique()
-        .sort("place", "code")
-        .group_by("place", maintain_order=True)
-        .agg("code")
-    )
+    place, code = np.concatenate(places), np.concatenate(codes)
+    # One number for both: sorting it sorts by place, then by code.
+    span = int(code.max(initial=0)) + 1
+    place, code = np.divmod(np.unique(place * span + code), span)
+    atoms = pl.DataFrame({"place": place, "code": code}).group_by("place", maintain_order=True).agg("code")
     columns: dict[str, Ints | NDArray[np.bool_]] = {
         "place": np.arange(len(rows)),
         "row": rows,
@@ -172,12 +170,16 @@ def _map_arguments(data: Encoded, bound: Ints, place: Ints, atom: Ints) -> tuple
     variables = np.full(arguments.shape, -1, dtype=np.int64)
     for column in range(arguments.shape[1]):
         argument = arguments[index, column]
-        is_match = (bound[place[index]] == argument[:, None]) & (argument != NOBODY)[:, None]
-        row, variable = np.nonzero(is_match)
+        at = place[index]
+        hits = [
+            np.flatnonzero((instances[at] == argument) & (argument != NOBODY)) for instances in bound.T.copy()
+        ]
         absent = np.flatnonzero(argument == NOBODY)
-        chosen = np.r_[row, absent]
+        chosen = np.concatenate([*hits, absent])
         variables = variables[chosen]
-        variables[: len(row), column] = variable
+        variables[: len(chosen) - len(absent), column] = np.repeat(
+            np.arange(len(hits)), [len(hit) for hit in hits]
+        )
         index = index[chosen]
     return place[index], data.atom_predicate[atom[index]], variables
 

@@ -29,7 +29,7 @@ Preference: TypeAlias = Callable[[range, int, int], Sequence[tuple[int, ...]]]
 """For the rows of a run and the values on its two sides, how well each row would do as owner."""
 
 GAP = -1
-"""Value of a hand that is neither open nor holds anything, and of an object that rests on nothing."""
+"""Value of a hand that is neither or both of open and holding, and of an object that rests on nothing."""
 _UNSEEN = -3
 
 
@@ -99,6 +99,8 @@ def _holding(data: Encoded, params: LearnParams) -> Ints:
             named = (held == data.in_hand[held_state // 2]) | (held == data.acted_on[held_state // 2])
             order = np.argsort(named, kind="stable")
             holds[held_state[order]] = held[order]
+            # Open and holding at once is as little a state of a hand as neither is.
+            holds[np.intersect1d(state[is_empty], held_state)] = GAP
         else:
             holds[state[is_empty | is_held]] = _UNSEEN
     if empty < 0:

@@ -105,6 +105,8 @@ def check_balance(draft: Draft, patterns: Sequence[Pattern], params: LearnParams
         draft = _insist(draft, empty)
         if (empty, True) not in draft.kept("precondition"):
             return replace(draft, quarantine="takes hold without an open hand before it")
+    if (hold, True) in effects and (empty, True) in conditions and (empty, False) not in effects:
+        return replace(draft, quarantine="takes hold, and the hand would stay open to take hold again")
     if (empty, True) in effects and (hold, False) not in effects:
         draft = replace(
             draft,
