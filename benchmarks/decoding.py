@@ -11,7 +11,7 @@ random walks as motion capture gives them. It is written as MCAP (CDR, zstd, chu
 1 MiB), rosbag2 sqlite3 (not compressed), and ROS 1 bag (lz4, the library's 1 MiB chunks).
 
 Each reader runs in a process of its own, several times; the figure is the median of the CPU time of the whole
-process (user and system, all threads) between opening the file and holding the result. Imports are not counted.
+process (user and system, all threads) between opening the file and holding the result, without imports.
 What a reader's result is:
 
 - *columns*: arrays of stamps, frame names (as codes), positions and orientations, by demoplan's decoder;
