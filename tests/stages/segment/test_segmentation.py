@@ -110,9 +110,21 @@ def test_segments_say_what_is_acted_on_and_what_is_held(demonstrate):
         (None, "cube"),
         (None, "cube"),
         (None, "cube"),
-        (None, None),
+        ("cube", None),
         (None, None),
     ]
+
+
+def test_an_object_that_is_grasped_within_a_segment_is_acted_on_in_it(demonstrate):
+    d = demonstrate()
+    facts = d.facts.filter(pl.col("predicate") != "inHand")
+    late = fact(facts, "inHand", ["Right_hand", "cube"], 2.1, 4.4)
+    frames = d.frames.with_columns(
+        grip=pl.when(pl.col("entity") == "Right_hand").then(pl.col("grip") * 0.8).otherwise(pl.col("grip"))
+    )
+    found = segment(Frames.validate(frames), late, d.entities, d.types, RULES)
+    take = found.filter(pl.col("activity") == "Take").row(0, named=True)
+    assert (take["acted_on"], take["in_hand"]) == ("cube", "cube")
 
 
 def test_doing_something_with_one_class_to_another_has_its_own_name(demonstrate):

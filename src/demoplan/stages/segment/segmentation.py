@@ -37,6 +37,8 @@ class SegmentParams:
     """No activity is ever ruled out by one leaf alone: probabilities are kept above this in decoding."""
     min_held_share: float = 0.5
     """An object is in hand in a segment if it is so for at least this share of it."""
+    letting_go_s: float = 0.3
+    """A segment with an empty hand acts on what the hand held up to this long before it [s]."""
 
 
 def segment(
@@ -119,12 +121,7 @@ def _rows(
     starts, values = runs_of(classes)
     ends = np.append(starts[1:], len(classes))
     end_ns = np.append(tracks.tick_ns, tracks.tick_ns[-1] + round(tracks.tick_s * 1e9))
-    held_ticks = _ticks_per_run(tracks.in_hand[hand], starts)
-    acted_ticks = _ticks_per_run(tracks.acted_on[hand], starts)
-    in_hand = _most(held_ticks, np.maximum(1, params.min_held_share * (ends - starts)))
-    # What a hand holds all along is not what it acts on.
-    acted_ticks[np.flatnonzero(in_hand >= 0), in_hand[in_hand >= 0]] = 0
-    acted_on = _most(acted_ticks, np.ones(len(starts)))
+    acted_on, in_hand = _concerned(tracks, hand, starts, ends, params)
     objects = [*tracks.objects, *tracks.surfaces]
     return pl.DataFrame(
         {
@@ -138,6 +135,33 @@ def _rows(
         },
         schema_overrides={"acted_on": pl.String, "in_hand": pl.String},
     )
+
+
+def _concerned(
+    tracks: Tracks, hand: int, starts: NDArray[np.int64], ends: NDArray[np.int64], params: SegmentParams
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """What each segment of one hand acts on, and what it holds ``(run,)``; −1 for nothing.
+
+    An object that is let go of is acted on; so is one that is grasped, if nothing else is.
+    """
+    is_held = tracks.in_hand[hand]
+    if not len(is_held):
+        acted = _most(_ticks_per_run(tracks.acted_on[hand], starts), np.ones(len(starts)))
+        return acted, np.full(len(starts), -1)
+    in_hand = _most(_ticks_per_run(is_held, starts), np.maximum(1, params.min_held_share * (ends - starts)))
+    holds = in_hand >= 0
+    # What a hand holds all along is not what it acts on.
+    acted_ticks = _ticks_per_run(tracks.acted_on[hand], starts)
+    acted_ticks[np.flatnonzero(holds), in_hand[holds]] = 0
+    acted_on = _most(acted_ticks, np.ones(len(starts)))
+    last = is_held[:, ends - 1].T
+    grasped = _most((last & ~is_held[:, starts].T).astype(np.int64), np.ones(len(starts)))
+    acted_on = np.where(acted_on < 0, grasped, acted_on)
+    # A grip is seen to open a little before or after the activity changes.
+    before = np.maximum(starts - n_ticks(params.letting_go_s, tracks.tick_s), 0)
+    n_held = np.concatenate((np.zeros((len(is_held), 1), np.int64), np.cumsum(is_held, axis=1)), axis=1)
+    let_go = _most(((n_held[:, ends] - n_held[:, before]).T * ~last), np.ones(len(starts)))
+    return np.where(~holds & (let_go >= 0), let_go, acted_on), in_hand
 
 
 def _ticks_per_run(mask: NDArray[np.bool_], starts: NDArray[np.int64]) -> NDArray[np.int64]:
