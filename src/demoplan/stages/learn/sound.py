@@ -107,16 +107,20 @@ def check_balance(draft: Draft, patterns: Sequence[Pattern], params: LearnParams
             return replace(draft, quarantine="takes hold without an open hand before it")
     if (hold, True) in effects and (empty, True) in conditions and (empty, False) not in effects:
         return replace(draft, quarantine="takes hold, and the hand would stay open to take hold again")
-    if (empty, True) in effects and (hold, False) not in effects:
-        draft = replace(
-            draft,
-            effects=tuple(
-                replace(each, is_kept=False, note="opens a hand without releasing what it may hold")
-                if (each.atom, each.is_positive) == (empty, True)
-                else each
-                for each in draft.effects
-            ),
-        )
+    for is_positive, note in (
+        (True, "opens a hand without releasing what it may hold"),
+        (False, "closes a hand about nothing"),
+    ):
+        if (empty, is_positive) in effects and (hold, not is_positive) not in effects:
+            draft = replace(
+                draft,
+                effects=tuple(
+                    replace(each, is_kept=False, note=note)
+                    if (each.atom, each.is_positive) == (empty, is_positive)
+                    else each
+                    for each in draft.effects
+                ),
+            )
     gains = {a for a, sign in effects if sign and a.predicate in params.supports and a.variables[0] == OBJECT}
     losses = {
         a for a, sign in effects if not sign and a.predicate in params.supports and (a, True) in conditions
@@ -124,6 +128,8 @@ def check_balance(draft: Draft, patterns: Sequence[Pattern], params: LearnParams
     losses = {a for a in losses if a.variables[0] == OBJECT}
     if gains and draft.grip == "free":
         return replace(draft, quarantine="moves an object that the hand holds neither before nor after")
+    if losses and not gains:
+        return replace(draft, quarantine="leaves an object on nothing")
     if len(gains) > len(losses):
         return replace(draft, quarantine="adds a support without taking the former one away")
     return draft
