@@ -14,7 +14,9 @@ import os
 import time
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal, TypeAlias, get_args
 
+import dataframely as dy
 import numpy as np
 import polars as pl
 from rich.console import Console
@@ -36,10 +38,11 @@ from demoplan.stages.segment import (
     segment_held_out,
     train,
 )
-from demoplan.tables import Activities, Facts, Frames
+from demoplan.tables import Activities, Facts, Frames, Scores
 
 HERE = Path(__file__).resolve().parent.parent
-METHODS = ("decision_tree", "distilled_tree", "random_forest", "extra_trees")
+Method: TypeAlias = Literal["decision_tree", "distilled_tree", "random_forest", "extra_trees"]
+METHODS: tuple[Method, ...] = get_args(Method)
 METRICS = ("frame accuracy", "macro F1", "F1@10", "F1@25", "F1@50", "edit score")
 
 
@@ -47,9 +50,9 @@ METRICS = ("frame accuracy", "macro F1", "F1@10", "F1@25", "F1@50", "edit score"
 class Labelled:
     """The labelled episodes of a dataset, as tables."""
 
-    frames: pl.DataFrame
-    facts: pl.DataFrame
-    truth: pl.DataFrame
+    frames: dy.DataFrame[Frames]
+    facts: dy.DataFrame[Facts]
+    truth: dy.DataFrame[Activities]
     entities: dict[str, str]
     types: TypeHierarchy
     groups: dict[str, str]
@@ -82,7 +85,7 @@ def labelled(opened: OpenDataset, prefix: str = "") -> Labelled:
     )
 
 
-def rule_rows(data: Labelled) -> list[tuple[str, pl.DataFrame]]:
+def rule_rows(data: Labelled) -> list[tuple[str, dy.DataFrame[Scores]]]:
     """Scores of what needs no labels, where the labels speak the rules' language."""
     found = [("majority", majority_activities(data.truth))]
     if set(data.truth["activity"]) <= {"Idle", "Reach", "Take", "Put", "Release"}:
@@ -91,7 +94,7 @@ def rule_rows(data: Labelled) -> list[tuple[str, pl.DataFrame]]:
     return [(name, score_segmentation(activities, data.truth, name)) for name, activities in found]
 
 
-def report(title: str, rows: list[tuple[str, pl.DataFrame]], console: Console) -> None:
+def report(title: str, rows: list[tuple[str, dy.DataFrame[Scores]]], console: Console) -> None:
     """Print one table: a method per row, a metric per column."""
     table = Table(title=title)
     table.add_column("method")
@@ -120,13 +123,13 @@ def report(title: str, rows: list[tuple[str, pl.DataFrame]], console: Console) -
         console.print(f"  {name}: F1 of each activity {values}")
 
 
-def trained(data: Labelled, method: str) -> Segmenter:
+def trained(data: Labelled, method: Method) -> Segmenter:
     """A segmenter of everything that a dataset has."""
     params = TrainParams(method=method)
     return train(data.frames, data.facts, data.truth, data.entities, data.types, params=params)
 
 
-def held_out(title: str, data: Labelled, methods: list[str], console: Console) -> None:
+def held_out(title: str, data: Labelled, methods: list[Method], console: Console) -> None:
     """Everything on one dataset, each group left out in turn."""
     rows = rule_rows(data)
     for method in methods:
@@ -139,7 +142,7 @@ def held_out(title: str, data: Labelled, methods: list[str], console: Console) -
     report(f"{title}: {len(data.groups)} episodes, {n_groups} groups left out in turn", rows, console)
 
 
-def transferred(title: str, known: Labelled, new: Labelled, methods: list[str], console: Console) -> None:
+def transferred(title: str, known: Labelled, new: Labelled, methods: list[Method], console: Console) -> None:
     """Trained on one dataset, tried on people of others."""
     rows = rule_rows(new)
     for method in methods:
@@ -161,7 +164,7 @@ def speed(data: Labelled, console: Console) -> None:
     span = data.frames.group_by("episode_id").agg(
         (pl.col("tick_ns").max() - pl.col("tick_ns").min()).alias("ns")
     )
-    minutes = span["ns"].sum() / 60e9
+    minutes = float(span["ns"].sum()) / 60e9
     table = Table(title=f"segmenting {minutes:.1f} minutes, {len(data.entities)} entities, CPU time")
     for column in ("segmenter", "ms per minute", "times real time"):
         table.add_column(column, justify="right" if column != "segmenter" else "left")
