@@ -1,6 +1,6 @@
 """Which literals an operator may state: what is about the hand and its object, and not about the scene."""
 
-from demoplan.stages.learn.bind import HAND, OBJECT
+from demoplan.stages.learn.bind import FROM, HAND, OBJECT, TO
 from demoplan.stages.learn.lift import LiftedAtom
 from demoplan.stages.learn.merge import Relevance
 
@@ -28,13 +28,19 @@ def _is_condition(atom: LiftedAtom, is_positive: bool, is_changed: bool) -> bool
     return is_positive and is_changed and _is_effect(atom)
 
 
+def _is_link(atom: LiftedAtom) -> bool:
+    """The hand, the hand with its object, and whether a support is free: what one leaves, the next needs."""
+    variables = atom.variables
+    return variables in ((FROM,), (TO,)) or (HAND in variables and set(variables) <= {HAND, OBJECT})
+
+
 def _never_a_negation(_atom: LiftedAtom, is_positive: bool, is_changed: bool) -> bool:
     return is_positive or is_changed
 
 
 LOGGED = Relevance(
     is_effect=_is_effect,
-    is_link=lambda atom: HAND in atom.variables and set(atom.variables) <= {HAND, OBJECT},
+    is_link=_is_link,
     is_condition=_is_condition,
 )
 """For logs, in which roles are bound by what the hand does."""
