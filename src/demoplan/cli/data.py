@@ -214,6 +214,13 @@ def record(
         typer.Option("--format", "-f", help="mcap, rosbag2, rosbag1; may be repeated, people take turns."),
     ] = None,
     name: Annotated[str | None, typer.Option("--name", help="Name of the dataset.")] = None,
+    vocabulary: Annotated[
+        Path | None,
+        typer.Option("--vocabulary", help="Vocabulary file; default: the checkout's tabletop.yaml."),
+    ] = None,
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", help="Replace the dataset that the folder holds.")
+    ] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Record demonstrations by simulated people in a physics scene: logs, true labels and dataset.yaml."""
@@ -234,6 +241,8 @@ def record(
             seed=seed,
             formats=formats,
             name=name,
+            vocabulary=vocabulary,
+            is_overwriting=overwrite,
             on_episode=done,
         )
     if as_json:

@@ -92,12 +92,13 @@ def record(
     vocabulary: Path | None = None,
     is_vocabulary_linked: bool | None = None,
     params: RecordParams = RecordParams(),
+    is_overwriting: bool = False,
     on_episode: Callable[[str], None] | None = None,
 ) -> dy.DataFrame[Recordings]:
     """Record every task once with every participant, and write a dataset that can be run as it is.
 
     Args:
-        out_dir: Folder for ``dataset.yaml``, ``logs/`` and ``labels/``; what it has of these is replaced.
+        out_dir: Folder for ``dataset.yaml``, ``logs/`` and ``labels/``.
         participants: How many (they are called p1, p2, …), or their names.
         tasks: Tasks, or texts that ``parse_task`` reads.
         seed: Seed of everything random. Participant k of a seed is the same person whatever the tasks are.
@@ -107,6 +108,7 @@ def record(
         is_vocabulary_linked: Name the vocabulary by its relative path instead of copying it; by default only
             where the folder is in the checkout that the vocabulary is part of.
         params: Physics, rig and label definitions.
+        is_overwriting: Replace the dataset that the folder holds; otherwise a folder with one is refused.
         on_episode: Called with each episode's id when it is written.
 
     Returns:
@@ -114,12 +116,19 @@ def record(
 
     Raises:
         UnknownNameError: If a format, task or cube is unknown.
-        UsageError: If names repeat or are not safe as file names, or there is no vocabulary.
+        UsageError: If names repeat or are not safe as file names, there is no vocabulary, or the folder
+            already holds a dataset.
     """
     people = [f"p{k + 1}" for k in range(participants)] if isinstance(participants, int) else [*participants]
     parsed = [parse_task(task) if isinstance(task, str) else task for task in tasks]
     dataset_name = name or out_dir.resolve().name
     _refuse_bad_names(people, parsed, formats, dataset_name)
+    held = [name for name in ("dataset.yaml", "logs", "labels") if (out_dir / name).exists()]
+    if held and not is_overwriting:
+        raise UsageError(
+            f"{out_dir} already holds {', '.join(held)}: recorded data is never replaced unless that is "
+            "asked for; name another folder, or give --overwrite"
+        )
     vocabulary_name = _place_vocabulary(out_dir, vocabulary, is_linked=is_vocabulary_linked)
     for folder in ("logs", "labels"):
         shutil.rmtree(out_dir / folder, ignore_errors=True)
