@@ -49,15 +49,32 @@ class Runs(dy.Schema):
     robot = dy.String(description="gripper, tiago, …")
     monitor = dy.Enum(["full", "preconditions", "none"], description="What was checked while it ran")
     seed = dy.Int64(min=0, description="Seed of scene, sensing and faults")
-    fault = dy.String(nullable=True, description="Injected fault, if any")
+    fault = dy.String(nullable=True, description="Name of the fault that was to be injected, if any")
+    fault_kind = dy.String(nullable=True, description="What kind of fault: placing_offset, slip, …")
+    fault_class = dy.Enum(FAILURE_CLASSES, nullable=True, description="Its true class")
+    severity = dy.String(nullable=True, description="As the faults file calls it: mild, moderate, severe")
+    is_recoverable = dy.Bool(nullable=True, description="Whether the faults file says that one can recover")
+    is_fault_injected = dy.Bool(description="Whether the run came to the point at which it happens")
     is_goal_reached = dy.Bool(description="By physics, at the end")
     is_goal_sensed = dy.Bool(description="As the monitor believes")
     outcome = dy.Enum(
-        ["reached", "no_plan", "out_of_reach", "gave_up", "timeout", "planner_failed"],
-        description="How the run ended",
+        ["reached", "no_plan", "out_of_reach", "gave_up", "timeout", "planner_failed", "not_started"],
+        description="How the run ended, as the executor believes",
     )
     reason = dy.String(nullable=True, description="Why, in words")
     n_plans = dy.Int64(min=0, description="Plans made: one, and each replan")
     n_steps = dy.Int64(min=0, description="Steps dispatched")
-    n_false_alarms = dy.Int64(min=0, description="Discrepancies without a true one behind them")
+    n_discrepancies = dy.Int64(min=0, description="Discrepancies that were acted upon")
+    n_passed = dy.Int64(min=0, description="Discrepancies that were gone at the second look")
+    n_false_alarms = dy.Int64(
+        min=0, description="Of those acted upon, the ones without a true discrepancy behind them"
+    )
+    n_unsound = dy.Int64(
+        min=0, description="Steps dispatched although a condition that lasts was physically false"
+    )
+    diagnosed = dy.Enum(
+        FAILURE_CLASSES,
+        nullable=True,
+        description="Class first named after the fault, or in a run without one at all",
+    )
     simulated_s = dy.Float64(min=0.0, description="Simulated time", metadata={"unit": "s"})
