@@ -104,8 +104,8 @@ def _named(drafts: Sequence[Draft]) -> list[tuple[str, Draft]]:
 def success_probability(n_demonstrated: int, n_successes: int, n_failures: int, params: LearnParams) -> float:
     """Posterior mean of success: Beta(1, 1), executions, and demonstrations up to a cap as successes.
 
-    >>> success_probability(100, 0, 0, LearnParams()), success_probability(1, 3, 5, LearnParams())
-    (0.75, 0.4545454545454545)
+    >>> success_probability(100, 0, 0, LearnParams()), success_probability(1, 2, 4, LearnParams())
+    (0.75, 0.4444444444444444)
     """
     successes = 1 + min(n_demonstrated, params.max_demonstrations) + n_successes
     return successes / (successes + 1 + n_failures)
