@@ -90,7 +90,7 @@ def test_an_episode_does_not_depend_on_who_else_is_recorded(recorded, tmp_path):
 
 def test_recording_again_replaces_what_was_there(tmp_path):
     record(tmp_path, participants=["ann", "bob"], tasks=["one-left"], formats=["mcap"])
-    with pytest.raises(UsageError, match="already holds dataset.yaml, logs, labels"):
+    with pytest.raises(UsageError, match=r"already holds dataset\.yaml, logs, labels"):
         record(tmp_path, participants=["ann"], tasks=["one-right"], formats=["mcap"])
     record(tmp_path, participants=["ann"], tasks=["one-right"], formats=["mcap"], is_overwriting=True)
     assert [p.name for p in (tmp_path / "logs").iterdir()] == ["ann-one-right.mcap"]

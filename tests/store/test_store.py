@@ -211,3 +211,22 @@ def test_records_are_readable_json(tmp_path):
     content = json.loads(store.records.path_of("s", record.key).read_text())
     assert content["inputs"] == {"i": "1"}
     assert content["notes"] == {"status": "ok"}
+
+
+def test_a_domain_is_stored_whatever_the_hashes_of_its_tables_are(tmp_path, monkeypatch):
+    """Two tables may share a folder, or be the same file."""
+    from demoplan.store.objects import ObjectStore
+
+    monkeypatch.setattr(ObjectStore, "path_of", lambda self, content: self.root / "ab" / f"{content}.parquet")
+    domains = Store(tmp_path).domains
+    tables = (Operators.create_empty(), Literals.create_empty(), Evidence.create_empty())
+    stored = domains.put(version("cccc3333"), "(define)", *tables)
+    folder = domains.root / "stack" / "cccc3333"
+    assert sorted(path.name for path in folder.iterdir()) == [
+        "domain.pddl",
+        "evidence.parquet",
+        "literals.parquet",
+        "metadata.json",
+        "operators.parquet",
+    ]
+    assert stored.tables.keys() == {"operators", "literals", "evidence"}

@@ -67,15 +67,15 @@ class DomainStore:
             self.root.joinpath(version.name).mkdir(parents=True, exist_ok=True)
             draft = Path(tempfile.mkdtemp(prefix=PART, dir=self.root / version.name))
             try:
-                tables = ObjectStore(draft)
+                tables = ObjectStore(draft / "tables")
                 contents = {
                     "operators": tables.put(operators, Operators),
                     "literals": tables.put(literals, Literals),
                     "evidence": tables.put(evidence, Evidence),
                 }
                 for name, content in contents.items():
-                    tables.path_of(content).rename(draft / f"{name}.parquet")
-                    tables.path_of(content).parent.rmdir()
+                    shutil.copyfile(tables.path_of(content), draft / f"{name}.parquet")
+                shutil.rmtree(draft / "tables")
                 fields = asdict(version) | {
                     "tables": contents,
                     "parent": version.parent or (latest.domain_id if latest else None),
