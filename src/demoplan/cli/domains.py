@@ -107,13 +107,14 @@ def diff(
     as_json: JsonOption = False,
 ) -> None:
     """Say in words what changed between two versions: operators, literals, counts."""
-    from demoplan.language.diff import diff as diff_domains
-    from demoplan.pipeline.learning import stored_domain
+    from dataclasses import asdict
+
+    from demoplan.language.diff import in_words
+    from demoplan.pipeline.learning import changes_between, stored_domain
 
     opened = existing_store(store)
-    changes = diff_domains(stored_domain(opened, old), stored_domain(opened, new))
+    changes = changes_between(stored_domain(opened, old), stored_domain(opened, new))
     if as_json:
-        print_json(changes)
-        return
-    for change in changes:
-        stdout.print(str(change), markup=False)
+        print_json([asdict(change) for change in changes])
+    else:
+        stdout.out(in_words(changes))

@@ -12,7 +12,7 @@ from demoplan.ids import content_hash
 from demoplan.pipeline.datasets import OpenDataset, remember
 from demoplan.pipeline.ingest import EpisodeTables, ingest, jobs_of
 from demoplan.pipeline.reporting import Progress, silent
-from demoplan.stages.contrast import contrast
+from demoplan.stages.contrast import ContrastParams, contrast
 from demoplan.stages.score import confusion, majority_activities, score_segmentation
 from demoplan.stages.segment import (
     PUBLISHED_RULES,
@@ -34,6 +34,9 @@ from demoplan.tables import Activities, Confusions, Facts, Frames, Scores, Trans
 
 MAJORITY = "most frequent activity"
 """Name of the naive alternative to a segmenter."""
+
+CONTRAST = ContrastParams()
+"""How activities are contrasted; part of what makes transitions stale."""
 
 RULES = "rules"
 """Name of the published rule tree, where a training method could stand."""
@@ -241,10 +244,12 @@ def _segment_one(
         "contrast",
         modules=["demoplan.stages.contrast"],
         inputs={"activities": tables.contents["activities"], "facts": state.tables["facts"]},
-        params={"entities": entities},
+        params={"params": asdict(CONTRAST), "entities": entities},
         make=lambda: {
             "transitions": (
-                contrast(tables.get("activities", Activities), tables.get("facts", Facts), entities),
+                contrast(
+                    tables.get("activities", Activities), tables.get("facts", Facts), entities, CONTRAST
+                ),
                 Transitions,
             )
         },

@@ -7,11 +7,12 @@ import dataframely as dy
 
 from demoplan.errors import UsageError
 from demoplan.ids import content_hash
+from demoplan.language.diff import Change, diff
 from demoplan.language.domains import Domain
 from demoplan.language.pddl import domain_id, parse_domain, render_domain
 from demoplan.language.vocabulary import Vocabulary
 from demoplan.pipeline.activities import tables_of
-from demoplan.stages.compose import compose
+from demoplan.stages.compose import compose, support_of
 from demoplan.stages.learn import LearnParams, learn
 from demoplan.store import DomainVersion, EpisodeState, Store
 from demoplan.store.code_version import code_version
@@ -100,3 +101,8 @@ def latest_evidence(store: Store, name: str) -> dy.DataFrame[Evidence] | None:
     """Which operator each activity matched, by the latest version of a domain; none if there is none."""
     version = store.domains.latest(name)
     return None if version is None else store.domains.tables(version)[2]
+
+
+def changes_between(old: Learned, new: Learned) -> tuple[Change, ...]:
+    """What changed from one version to another: operators, literals, and the counts behind them."""
+    return diff(old.domain, new.domain, support_of(old.literals), support_of(new.literals))
