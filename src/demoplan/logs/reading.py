@@ -17,6 +17,7 @@ from demoplan.logs.opening import files_of, note_missing_files
 from demoplan.logs.sampling import TopicSampler, wanted_of
 from demoplan.manifests.mapping import GripTopic, Mapping
 from demoplan.tables import Samples, Topics
+from demoplan.tables.validating import validated
 
 Status: TypeAlias = Literal["complete", "truncated"]
 
@@ -150,7 +151,7 @@ class SampleStream:
                     "note": "; ".join(notes) or None,
                 }
             )
-        return Topics.validate(pl.DataFrame(rows, schema=Topics.create_empty().schema))
+        return validated(pl.DataFrame(rows, schema=Topics.create_empty().schema), Topics)
 
     @property
     def status(self) -> Status:

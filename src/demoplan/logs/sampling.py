@@ -20,6 +20,7 @@ from demoplan.manifests.mapping import (
     TransformsTopic,
 )
 from demoplan.tables import Samples
+from demoplan.tables.validating import validated
 
 MappedTopic: TypeAlias = TransformsTopic | PoseTopic | BodiesTopic | GripTopic
 
@@ -169,7 +170,7 @@ class TopicSampler:
                 "is_tracked": pl.Series(is_tracked),
             }
         )
-        return Samples.validate(frame)
+        return validated(frame, Samples)
 
     def _stamps(
         self, log: Times, publish: Times | None, header: Times | None, n_rows: int

@@ -17,6 +17,7 @@ from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 from demoplan.errors import DataError, UnknownNameError
 from demoplan.manifests.mapping import Clock, Strict
 from demoplan.tables import Activities, Samples
+from demoplan.tables.validating import validated
 
 BIMANUAL_ACTIONS = {
     0: "Idle",
@@ -110,7 +111,7 @@ def activities_of_labels(
     columns = ["hand", "start_ns", "end_ns", "activity", "acted_on", "in_hand"]
     schema = {name: pl.Int64 if name.endswith("_ns") else pl.String for name in columns}
     table = pl.DataFrame(rows, schema=schema, orient="row")
-    return Activities.validate(table.select(pl.lit(episode_id).alias("episode_id"), pl.all()))
+    return validated(table.select(pl.lit(episode_id).alias("episode_id"), pl.all()), Activities)
 
 
 def _rows_of_activities(document: Any, episode_id: str, samples: DataFrame[Samples]) -> Iterable[Row]:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from demoplan.errors import DataError, UnknownNameError
 from demoplan.tables import Activities, Facts, Transitions
+from demoplan.tables.validating import validated
 
 Ints = NDArray[np.int64]
 _TRACK = ["episode_id", "hand"]
@@ -99,7 +100,7 @@ def contrast(
         before["unknown"].alias("unknown_before"),
         after["unknown"].alias("unknown_after"),
     )
-    return Transitions.validate(table)
+    return validated(table, Transitions)
 
 
 def _require_known(

@@ -1,8 +1,10 @@
 """Tables as Parquet, named by the hash of their bytes."""
 
+import contextlib
+import functools
 import hashlib
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import dataframely as dy
 import polars as pl
@@ -12,6 +14,7 @@ import pyarrow.parquet as pq
 from demoplan.errors import StoreError
 from demoplan.ids import ContentHash
 from demoplan.store.atomic import replacing
+from demoplan.tables.validating import is_typed, validated
 
 TABLE_FORMAT = "1"
 """Version of the form in which tables are written; a reader refuses a newer one."""
@@ -35,19 +38,15 @@ class ObjectStore:
         return self.path_of(content).is_file()
 
     def put(self, table: pl.DataFrame, schema: type[dy.Schema]) -> ContentHash:
-        """Write a table, validated against its declaration, and give back the hash of its bytes.
+        """Write a table, and give back the hash of its bytes. Equal tables give equal bytes, written once.
 
-        Equal tables give equal bytes and are written once.
+        Stages hold what they give to its declaration, so only the columns and their types are looked at
+        here; a table that differs in these is cast, and all its rules are checked.
         """
-        validated = schema.validate(table, cast=True)
+        typed = table if is_typed(table, schema) else validated(table, schema)
+        described = _described(typed.to_arrow(compat_level=pl.CompatLevel.oldest()), schema)
         sink = pa.BufferOutputStream()
-        pq.write_table(
-            _described(validated.to_arrow(compat_level=pl.CompatLevel.oldest()), schema),
-            sink,
-            compression="zstd",
-            compression_level=1,
-            row_group_size=1 << 20,
-        )
+        pq.write_table(described, sink, row_group_size=1 << 20, **_encodings(schema))
         data = sink.getvalue()
         content = ContentHash(hashlib.sha256(memoryview(data)).hexdigest())
         if not self.has(content):
@@ -72,7 +71,10 @@ class ObjectStore:
         written = found.get(b"demoplan.table_format", b"?").decode()
         if written != TABLE_FORMAT:
             raise StoreError(f"{path}: written in table format {written}; this version reads {TABLE_FORMAT}")
-        return schema.validate(table, cast=True)
+        # If a column cannot be cast, `validated` says which.
+        with contextlib.suppress(pl.exceptions.PolarsError, dy.exc.SchemaError):
+            table = schema.cast(table)
+        return validated(table, schema)
 
     def is_intact(self, content: ContentHash) -> bool:
         """Whether the bytes that are there still have the hash that names them."""
@@ -83,13 +85,49 @@ class ObjectStore:
             return hashlib.file_digest(file, "sha256").hexdigest() == content
 
 
+@functools.cache
+def _encodings(schema: type[dy.Schema]) -> dict[str, Any]:
+    """How the columns of a table are written: what costs little time for its size.
+
+    Texts repeat, so they go through a dictionary; numbers hardly do. Whole numbers are stamps and indexes:
+    their steps are small. Only they are ever searched by range, so only they have statistics.
+    """
+    described = _described(schema.create_empty().to_arrow(compat_level=pl.CompatLevel.oldest()), schema)
+    sink = pa.BufferOutputStream()
+    pq.write_table(described, sink)
+    columns = pq.ParquetFile(pa.BufferReader(sink.getvalue())).schema
+    by_type: dict[str, list[str]] = {}
+    for column in (columns.column(index) for index in range(len(columns))):
+        by_type.setdefault(column.physical_type, []).append(column.path)
+    whole = by_type.get("INT64", [])
+    return {
+        "compression": "lz4",
+        "use_dictionary": by_type.get("BYTE_ARRAY", []),
+        "column_encoding": dict.fromkeys(whole, "DELTA_BINARY_PACKED"),
+        "write_statistics": whole,
+    }
+
+
+@functools.cache
+def _notes_of(schema: type[dy.Schema]) -> dict[str, dict[str, str]]:
+    """Column → what its field metadata says."""
+    return {
+        name: {
+            key: str(value)
+            for key, value in {"description": column.description or "", **(column.metadata or {})}.items()
+            if value
+        }
+        for name, column in schema.columns().items()
+    }
+
+
 def _described(table: pa.Table, schema: type[dy.Schema]) -> pa.Table:
     """The table with each column's description and unit in its field metadata."""
-    fields = []
-    for field in table.schema:
-        column = schema.columns()[field.name]
-        notes = {"description": column.description or "", **(column.metadata or {})}
-        fields.append(field.with_metadata({key: str(value) for key, value in notes.items() if value}))
-    return table.cast(
-        pa.schema(fields, metadata={"demoplan.table": schema.__name__, "demoplan.table_format": TABLE_FORMAT})
+    notes = _notes_of(schema)
+    return pa.Table.from_arrays(
+        table.columns,
+        schema=pa.schema(
+            [field.with_metadata(notes[field.name]) for field in table.schema],
+            metadata={"demoplan.table": schema.__name__, "demoplan.table_format": TABLE_FORMAT},
+        ),
     )

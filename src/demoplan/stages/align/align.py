@@ -21,6 +21,7 @@ from demoplan.stages.align.resampling import (
     youngest,
 )
 from demoplan.tables import Frames, Samples
+from demoplan.tables.validating import validated
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,7 +90,7 @@ def align(
         for key, rows in sorted(samples.partition_by("episode_id", as_dict=True).items())
     ]
     frames = pl.concat(parts) if parts else Frames.create_empty()
-    return Frames.validate(frames)
+    return validated(frames, Frames)
 
 
 def _episode(episode_id: str, rows: pl.DataFrame, mapping: Mapping, params: AlignParams) -> pl.DataFrame:

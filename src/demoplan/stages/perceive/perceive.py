@@ -14,6 +14,7 @@ from demoplan.stages.perceive.bodies import Bodies, bodies_of
 from demoplan.stages.perceive.evidence import FALSE, TRUE, Known, settled
 from demoplan.stages.perceive.registry import DEFINITIONS, check_definitions
 from demoplan.tables import Facts, Frames
+from demoplan.tables.validating import validated
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,7 +61,7 @@ def perceive(
         for _, rows in sorted(frames.partition_by("episode_id", as_dict=True).items())
     ]
     facts = pl.concat(parts) if parts else Facts.create_empty()
-    return Facts.validate(facts)
+    return validated(facts, Facts)
 
 
 def groundings_of(rule: PredicateRule, bodies: Bodies, vocabulary: Vocabulary) -> list[tuple[int, ...]]:

@@ -19,6 +19,7 @@ from demoplan.stages.segment.tracks import TrackParams, Tracks, roles_of, tracks
 from demoplan.stages.segment.trees import probabilities
 from demoplan.stages.segment.windows import n_ticks
 from demoplan.tables import Activities, Facts, Frames
+from demoplan.tables.validating import validated
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,7 +84,7 @@ def segment(
             calm = without_short_runs(classes[hand], None if evidence is None else evidence[hand], min_ticks)
             found.append(_rows(tracks, hand, names, calm, params))
     table = pl.concat(found) if found else Activities.create_empty()
-    return Activities.validate(table.sort("episode_id", "hand", "start_ns"), cast=True)
+    return validated(table.sort("episode_id", "hand", "start_ns"), Activities)
 
 
 def classify_by_model(
