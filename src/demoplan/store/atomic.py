@@ -58,8 +58,12 @@ def _flush_folder(folder: Path) -> None:
 
 
 @contextlib.contextmanager
-def locked(path: Path) -> Iterator[None]:
-    """Hold an exclusive lock on a file; the system lets go of it when the process dies.
+def locked(path: Path, *, is_shared: bool = False) -> Iterator[None]:
+    """Hold a lock on a file; the system lets go of it when the process dies.
+
+    Args:
+        path: The lock's file; it stays there, empty.
+        is_shared: Whether others may hold it at the same time, if they share it too.
 
     Raises:
         StoreError: If the lock file cannot be made.
@@ -70,7 +74,7 @@ def locked(path: Path) -> Iterator[None]:
     except OSError as error:
         raise StoreError(f"cannot lock {path}: {error.strerror or error}") from error
     try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX)
+        fcntl.flock(descriptor, fcntl.LOCK_SH if is_shared else fcntl.LOCK_EX)
         yield
     finally:
         os.close(descriptor)

@@ -15,6 +15,9 @@ from demoplan.store.atomic import PART, locked, write_bytes
 from demoplan.store.objects import ObjectStore
 from demoplan.tables import Evidence, Literals, Operators
 
+TABLES = ("operators", "literals", "evidence")
+"""Names of the tables that stand beside a domain's text."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class DomainVersion:

@@ -1,12 +1,17 @@
 """Records: which output a stage gave for which input, parameters and code."""
 
+import functools
 import json
-from dataclasses import asdict, dataclass
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
+
+import dataframely as dy
 
 from demoplan.errors import StoreError
 from demoplan.ids import ContentHash, content_hash
-from demoplan.store.atomic import write_bytes
+from demoplan.store.atomic import PART, write_bytes
+from demoplan.tables.contracts import contract
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,11 +29,19 @@ class Record:
     """Name of each output table → hash of its content."""
     notes: dict[str, str]
     """What else is known of the run: a log's status, and its reason."""
+    schemas: dict[str, str] = field(default_factory=dict)
+    """Name of each output table → its declaration then, as ``Name:hash`` (see ``schema_version``)."""
 
 
 def stage_key(stage: str, inputs: dict[str, str], params: str, code_version: str) -> ContentHash:
     """The key of a stage's output: equal keys stand for equal outputs."""
     return content_hash(stage, json.dumps(inputs, sort_keys=True), params, code_version)
+
+
+@functools.cache
+def schema_version(schema: type[dy.Schema]) -> str:
+    """A table's declaration as ``Name:hash``: it changes with columns, types, units, key and rules."""
+    return f"{schema.__name__}:{content_hash(json.dumps(contract(schema), sort_keys=True))[:16]}"
 
 
 class RecordStore:
@@ -60,3 +73,9 @@ class RecordStore:
         """Write a record; its outputs must be there already."""
         text = json.dumps(asdict(record), sort_keys=True, indent=1) + "\n"
         write_bytes(self.path_of(record.stage, record.key), text.encode())
+
+    def paths(self) -> Iterator[Path]:
+        """Where every record is, in order of stage and key."""
+        for path in sorted(self.root.glob("*/*.json")):
+            if not path.name.startswith(PART):
+                yield path

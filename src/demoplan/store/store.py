@@ -1,6 +1,7 @@
 """The store as a whole, and the one way in which stages run over it."""
 
 import json
+import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -9,10 +10,13 @@ import dataframely as dy
 import polars as pl
 
 from demoplan.ids import ContentHash
+from demoplan.store.atomic import locked
 from demoplan.store.domains import DomainStore
 from demoplan.store.manifest import Manifest
 from demoplan.store.objects import ObjectStore, Table
-from demoplan.store.records import Record, RecordStore, stage_key
+from demoplan.store.records import Record, RecordStore, schema_version, stage_key
+from demoplan.store.snapshots import Snapshots
+from demoplan.store.timings import Timings
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,7 +31,8 @@ class Store:
     """A folder with tables, records, a manifest and domain versions.
 
     ``objects/`` tables by content · ``records/`` what gave them · ``manifest.json`` what stands now ·
-    ``domains/`` versions · ``reports/``, ``recordings/`` what can be made again from the rest.
+    ``snapshots/`` what stood before · ``domains/`` versions · ``timings/`` what stages took ·
+    ``reports/``, ``recordings/`` what can be made again from the rest.
     """
 
     def __init__(self, root: Path) -> None:
@@ -36,7 +41,10 @@ class Store:
         self.objects = ObjectStore(root / "objects")
         self.records = RecordStore(root / "records")
         self.manifest = Manifest(root)
+        self.snapshots = Snapshots(root / "snapshots")
         self.domains = DomainStore(root / "domains")
+        self.timings = Timings(root / "timings")
+        self.sweep_lock = root / "sweep.lock"
 
     def is_current(self, stage: str, inputs: Mapping[str, str], params: str, code_version: str) -> bool:
         """Whether the stage's output for these inputs, parameters and code is there."""
@@ -69,20 +77,25 @@ class Store:
         found = self._find(stage, inputs, params, code_version)
         if found is not None:
             return found
+        start = time.perf_counter()
         output = function()
-        contents = {
-            name: str(self.objects.put(table, schema)) for name, (table, schema) in output.tables.items()
-        }
-        record = Record(
-            stage=stage,
-            key=stage_key(stage, dict(inputs), params, code_version),
-            inputs=dict(inputs),
-            params=params,
-            code_version=code_version,
-            outputs=contents,
-            notes=dict(output.notes),
-        )
-        self.records.put(record)
+        # Shared with other writers; sweeping waits, so that no table goes before what names it is there.
+        with locked(self.sweep_lock, is_shared=True):
+            contents = {
+                name: str(self.objects.put(table, schema)) for name, (table, schema) in output.tables.items()
+            }
+            record = Record(
+                stage=stage,
+                key=stage_key(stage, dict(inputs), params, code_version),
+                inputs=dict(inputs),
+                params=params,
+                code_version=code_version,
+                outputs=contents,
+                notes=dict(output.notes),
+                schemas={name: schema_version(schema) for name, (_, schema) in output.tables.items()},
+            )
+            self.records.put(record)
+        self.timings.note(stage, record.key, time.perf_counter() - start)
         return record
 
     def get(self, content: str, schema: type[Table]) -> dy.DataFrame[Table]:
