@@ -27,11 +27,16 @@ def fast_downward() -> Path:
 
 
 def plan(domain_text: str, problem: Path, seconds: int, cache: Path) -> list[list[str]] | str:
-    """Steps of a plan, or the planner's exit code as text; kept by content, since learners often agree."""
-    key = hashlib.sha256(f"{domain_text}\0{problem.read_text()}\0{SEARCH}\0{seconds}".encode()).hexdigest()
+    """Steps of a plan, or why there is none; kept by content, since learners often agree.
+
+    What ran out of time is tried again once more time is given.
+    """
+    key = hashlib.sha256(f"{domain_text}\0{problem.read_text()}\0{SEARCH}".encode()).hexdigest()
     kept = cache / key[:2] / f"{key}.json"
     if kept.exists():
-        return json.loads(kept.read_text())
+        found = json.loads(kept.read_text())
+        if found["seconds"] >= seconds or not found["ran_out"]:
+            return found["result"]
     with tempfile.TemporaryDirectory() as folder:
         domain = Path(folder) / "domain.pddl"
         domain.write_text(domain_text)
@@ -47,13 +52,16 @@ def plan(domain_text: str, problem: Path, seconds: int, cache: Path) -> list[lis
             os.killpg(process.pid, signal.SIGKILL)
             process.wait()
             said = "timeout"
-        if out.exists():
+        out_exists = out.exists()
+        if out_exists:
             lines = [line for line in out.read_text().splitlines() if not line.startswith(";")]
             result: list[list[str]] | str = [line.strip("() ").split() for line in lines]
         else:
             result = f"exit {process.returncode}: {said[-200:]}"
     kept.parent.mkdir(parents=True, exist_ok=True)
-    kept.write_text(json.dumps(result))
+    # Exit codes 21 to 24 are the planner's own limits of time and memory.
+    ran_out = not out_exists and (process.returncode < 0 or 21 <= process.returncode <= 24)
+    kept.write_text(json.dumps({"seconds": seconds, "ran_out": ran_out, "result": result}))
     return result
 
 

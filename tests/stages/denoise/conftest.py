@@ -47,8 +47,8 @@ ATOMS = sorted(
 )
 
 
-def walk(seed, length=25):
-    """States and actions of a random walk."""
+def walk(seed, length=25, barred=None):
+    """States and actions of a random walk; parcels of which ``barred`` holds are never picked up."""
     draw = random.Random(seed)
     state = {("door", *pair) for pair in DOORS} | {("lit", r) for r in ROOMS if draw.random() < 0.5}
     state |= {("heavy", p) for p in PARCELS if draw.random() < 0.5} | {("free", c) for c in COURIERS}
@@ -63,7 +63,11 @@ def walk(seed, length=25):
             held = [p for p in PARCELS if ("carries", c, p) in state]
             options += [("go", c, here, b) for a, b in sorted(DOORS) if a == here]
             options += [("drop", c, p, here) for p in held] + [("stamp", c, p) for p in held]
-            options += [("pick", c, p, here) for p in PARCELS if not held and ("in", p, here) in state] * 2
+            options += [
+                ("pick", c, p, here)
+                for p in PARCELS
+                if not held and ("in", p, here) in state and (barred, p) not in state
+            ] * 2
         action = draw.choice(options)
         name, c, *rest = action
         if name == "go":
@@ -103,11 +107,13 @@ def text_of(states, actions, rate=0.0, seed=0, hidden=0.0):
 def courier():
     """Makes trace sets: ``courier(n_traces, rate=…)``."""
 
-    def make(numbers, length=25, **noise):
+    def make(numbers, length=25, barred=None, **noise):
         signatures, _ = read_signatures(DOMAIN, "domain.pddl")
         reader = TraceReader(signatures)
         for number in range(numbers) if isinstance(numbers, int) else numbers:
-            reader.add(text_of(*walk(number, length), seed=number, **noise), f"{number}_traj", OBJECTS)
+            reader.add(
+                text_of(*walk(number, length, barred), seed=number, **noise), f"{number}_traj", OBJECTS
+            )
         assert reader.faults == ()
         return reader.take()
 

@@ -53,6 +53,19 @@ def test_no_negative_condition_is_stated_without_evidence(courier):
     assert literals.filter((pl.col("role") == "precondition") & ~pl.col("is_positive")).is_empty()
 
 
+@pytest.mark.parametrize("rate", [0.0, 0.1])
+def test_a_negative_condition_is_stated_where_chances_were_avoided(courier, rules, learned, rate):
+    denoised = denoise(courier(16, barred="heavy", rate=rate))
+    pre, effects = learned(denoised)["pick"]
+    assert pre == rules["pick"][0] | {"not heavy(?p)"}
+    assert effects == rules["pick"][1]
+    row = denoised.literals.filter(~pl.col("is_positive") & (pl.col("role") == "precondition")).row(
+        0, named=True
+    )
+    assert row["n_support"] + row["n_against"] == row["n_transitions"]
+    assert row["note"].startswith(f"avoided {row['n_transitions']} times where it held in ")
+
+
 def test_a_literal_left_out_says_what_implies_it(courier):
     # Doors go both ways here: one of the two directions says it all.
     rows = denoise(courier(12)).literals.filter(

@@ -12,12 +12,14 @@ from demoplan.language.traces import TraceSet
 from demoplan.language.traces.values import Codes
 from demoplan.stages.denoise.beliefs import ADD, DELETE, KEEP, Beliefs, believe
 from demoplan.stages.denoise.counts import Counts, count
-from demoplan.stages.denoise.implications import Implications, Rules, needed, snapshots
+from demoplan.stages.denoise.implications import Implications, Rules, needed
 from demoplan.stages.denoise.params import DenoiseParams
+from demoplan.stages.denoise.snapshots import snapshots
 from demoplan.stages.denoise.touches import Candidate, GroundCodes, candidates, spans, touch
 from demoplan.tables import Literals, Operators
 
 _HALF = 0.5
+_SURE = 0.9
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,6 +140,8 @@ class _Verdicts:
     effect: Codes
     required: NDArray[np.float64]
     """Probability that it is a condition."""
+    avoided: NDArray[np.float64]
+    """Probability that it is always false before."""
     effects: NDArray[np.float64]
     """``(n_candidates, 3)``: probabilities of keeping, adding, deleting."""
 
@@ -145,6 +149,7 @@ class _Verdicts:
 def _verdicts(over: tuple[Candidate, ...], beliefs: Beliefs, params: DenoiseParams) -> _Verdicts:
     hypotheses = beliefs.hypotheses
     required = beliefs.roles[:, hypotheses.condition == 1].sum(axis=1)
+    avoided = beliefs.roles[:, hypotheses.condition == -1].sum(axis=1)
     effects = np.stack(
         [beliefs.roles[:, hypotheses.effect == each].sum(axis=1) for each in (KEEP, ADD, DELETE)], axis=1
     )
@@ -155,7 +160,7 @@ def _verdicts(over: tuple[Candidate, ...], beliefs: Beliefs, params: DenoisePara
         likeliest = mine[effects[mine, ADD].argmax()]
         if not (effect[mine] == ADD).any() and effects[likeliest, ADD] >= params.effect_despite:
             effect[likeliest] = ADD
-    return _Verdicts((required >= _HALF) & (effect != ADD), effect, required, effects)
+    return _Verdicts((required >= _HALF) & (effect != ADD), effect, required, avoided, effects)
 
 
 def _by_action(
@@ -219,8 +224,12 @@ def _literals(
     conditions = [over[index] for index in indices if verdicts.is_condition[index]]
     is_deleted = {over[index]: bool(verdicts.effect[index] == DELETE) for index in indices}
     kept, reasons = conditions, dict[Candidate, str]()
+    negative: dict[Candidate, str] = {}
     if implications is not None:
+        avoided = [over[index] for index in indices if verdicts.avoided[index] > _SURE]
+        n_instances = int(counts.n_transitions[over[indices[0]].action])
         kept, reasons = needed(conditions, is_deleted, implications)
+        negative = implications.forbidden(conditions, avoided, n_instances)
     rows: list[dict[str, object]] = []
     for index in indices:
         each = over[index]
@@ -243,6 +252,19 @@ def _literals(
                 "note": reasons.get(each),
             }
         )
+        if each in negative:
+            rows.append(
+                {
+                    **shared,
+                    "n_support": before["n_against"],
+                    "n_against": before["n_support"],
+                    "role": "precondition",
+                    "is_positive": False,
+                    "probability": min(float(verdicts.avoided[index]), 1.0),
+                    "is_kept": True,
+                    "note": negative[each],
+                }
+            )
         if effect != KEEP:
             true, false = int(counts.true_after[index]), int(counts.false_after[index])
             is_added = bool(effect == ADD)

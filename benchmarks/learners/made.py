@@ -1,0 +1,169 @@
+"""Domains that ship no traces: worlds drawn at random and walked at random, in folders like the public data.
+
+``python benchmarks/learners/made.py --source AMLGYM/benchmarks --out FOLDER --seed 0``; then ``run.py`` with
+``--source FOLDER``. They serve to try a learner on what nobody developed it on.
+"""
+
+import argparse
+import itertools
+import json
+import random
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import reference
+
+World = tuple[dict[str, str], set[reference.Fact], set[str]]
+"""Objects with types, the initial state, and the predicates that goals are about."""
+
+
+def hanoi(draw: random.Random) -> World:
+    discs = [f"d{n}" for n in range(1, draw.randint(3, 5) + 1)]
+    pegs = ["peg1", "peg2", "peg3"]
+    # d1 is the smallest; everything is wider than it.
+    state = {("smaller", peg, disc) for peg in pegs for disc in discs}
+    state |= {("smaller", b, a) for a, b in itertools.combinations(discs, 2)}
+    piles: dict[str, list[str]] = {peg: [] for peg in pegs}
+    for disc in reversed(discs):
+        piles[draw.choice(pegs)].append(disc)
+    for peg, pile in piles.items():
+        state |= {("on", top, below) for below, top in itertools.pairwise([peg, *pile])}
+        state.add(("clear", [peg, *pile][-1]))
+    return dict.fromkeys(discs, "disc") | dict.fromkeys(pegs, "table"), state, {"on"}
+
+
+def grid(draw: random.Random) -> World:
+    width, height = draw.randint(3, 4), draw.randint(2, 3)
+    places = {(x, y): f"n{x}-{y}" for x in range(width) for y in range(height)}
+    shapes, keys = ["circle", "star"], [f"key{n}" for n in range(1, draw.randint(2, 4) + 1)]
+    state = {("arm_empty",)}
+    for (x, y), name in places.items():
+        for other in ((x + 1, y), (x, y + 1)):
+            if other in places:
+                state |= {("conn", name, places[other]), ("conn", places[other], name)}
+    names = sorted(places.values())
+    locked = set(draw.sample(names[1:], 2))
+    for name in names:
+        state.add(("locked" if name in locked else "open", name))
+    state |= {("lock_shape", name, draw.choice(shapes)) for name in sorted(locked)}
+    shape_of = dict(zip(keys, itertools.cycle(shapes), strict=False))
+    state |= {("key_shape", key, shape) for key, shape in shape_of.items()}
+    free = [name for name in names if name not in locked]
+    state |= {("at", key, draw.choice(free)) for key in keys} | {("at_robot", draw.choice(free))}
+    objects = dict.fromkeys(names, "place") | dict.fromkeys(keys, "key") | dict.fromkeys(shapes, "shape")
+    return objects, state, {"at"}
+
+
+def driverlog(draw: random.Random) -> World:
+    places = [f"s{n}" for n in range(1, draw.randint(3, 5) + 1)]
+    drivers, trucks = ["driver1", "driver2"], ["truck1", "truck2"]
+    parcels = [f"package{n}" for n in range(1, draw.randint(2, 4) + 1)]
+    state: set[reference.Fact] = {("empty", truck) for truck in trucks}
+    for relation in ("link", "path"):
+        order = draw.sample(places, len(places))
+        pairs = [*itertools.pairwise(order), tuple(draw.sample(places, 2))]
+        state |= {(relation, *pair) for one in pairs for pair in (one, one[::-1])}
+    state |= {("at", thing, draw.choice(places)) for thing in (*drivers, *trucks, *parcels)}
+    objects = dict.fromkeys(places, "location") | dict.fromkeys(drivers, "driver")
+    return objects | dict.fromkeys(trucks, "truck") | dict.fromkeys(parcels, "obj"), state, {"at"}
+
+
+def zenotravel(draw: random.Random) -> World:
+    cities = [f"city{n}" for n in range(draw.randint(3, 4))]
+    planes, people = ["plane1", "plane2"], [f"person{n}" for n in range(1, draw.randint(3, 4) + 1)]
+    levels = [f"fl{n}" for n in range(5)]
+    state: set[reference.Fact] = {("next", *pair) for pair in itertools.pairwise(levels)}
+    state |= {("at", thing, draw.choice(cities)) for thing in (*planes, *people)}
+    state |= {("fuel_level", plane, draw.choice(levels[1:])) for plane in planes}
+    objects = dict.fromkeys(cities, "city") | dict.fromkeys(planes, "aircraft")
+    return objects | dict.fromkeys(people, "person") | dict.fromkeys(levels, "flevel"), state, {"at"}
+
+
+WORLDS: dict[str, Callable[[random.Random], World]] = {
+    "driverlog": driverlog,
+    "grid": grid,
+    "hanoi": hanoi,
+    "zenotravel": zenotravel,
+}
+
+
+def applicable(
+    model: reference.Model, objects: dict[str, str], state: set[reference.Fact]
+) -> dict[str, list[tuple[str, ...]]]:
+    """Ground actions whose preconditions hold, by name."""
+    found = {}
+    for name, action in model.actions.items():
+        fitting = [model.objects_of(objects, kind) for _, kind in action.parameters]
+        found[name] = [one for one in itertools.product(*fitting) if action.is_applicable(state, one)]
+    return found
+
+
+def walk(
+    model: reference.Model, world: World, length: int, draw: random.Random
+) -> tuple[list[set[reference.Fact]], list[reference.Fact]]:
+    """A random walk: an action's name first, so that rare actions are seen, then its objects."""
+    objects, state, _ = world
+    states, actions = [state], []
+    for _ in range(length):
+        options = {name: ways for name, ways in applicable(model, objects, states[-1]).items() if ways}
+        name = draw.choice(sorted(options))
+        arguments = draw.choice(options[name])
+        states.append(model.actions[name].apply(states[-1], arguments))
+        actions.append((name, *arguments))
+    return states, actions
+
+
+def make(source: Path, out: Path, domain: str, seed: int) -> None:
+    """Traces, problems and held-out states of one domain."""
+    path = source / "domains" / f"{domain}.pddl"
+    (out / "domains").mkdir(parents=True, exist_ok=True)
+    shutil.copy(path, out / "domains")
+    model = reference.read_domain(path)
+    draw = random.Random(f"{domain} {seed}")
+    for kind in (
+        "trajectories/learning",
+        "problems/learning",
+        "problems/solving",
+        "problems/predictive_power",
+    ):
+        (out / kind / domain).mkdir(parents=True, exist_ok=True)
+    tested = {}
+    for number, length in enumerate((4, 6, 11, 14, 18, 20, 21, 23, 26, 29)):
+        world = WORLDS[domain](draw)
+        states, actions = walk(model, world, length, draw)
+        (out / f"trajectories/learning/{domain}/{number}_{domain}_traj").write_text(
+            reference.trace_text(states, actions)
+        )
+        text = reference.problem_text(f"p{number}", model.name, world[0], states[0], set())
+        (out / f"problems/learning/{domain}/{number}_{domain}_prob.pddl").write_text(text)
+        world = WORLDS[domain](draw)
+        states, _ = walk(model, world, 40, draw)
+        goal = " ".join(f"({' '.join(fact)})" for fact in sorted(states[-1]) if fact[0] in world[2])
+        text = reference.problem_text(f"p{number}", model.name, world[0], states[0], set())
+        name = f"{number}_{domain}_prob.pddl"
+        (out / f"problems/solving/{domain}/{name}").write_text(text.replace("(and )", f"(and {goal})"))
+        (out / f"problems/predictive_power/{domain}/{name}").write_text(text)
+        tested[name] = {
+            str(n): {
+                "fluents": [f"({' '.join(fact)})" for fact in sorted(state)],
+                "applicable_actions": applicable(model, world[0], state),
+            }
+            for n, state in enumerate(states[::8])
+        }
+    folder = out / "states/predictive_power_fast" / domain
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "test_states.json").write_text(json.dumps(tested))
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--source", type=Path, required=True, help="amlgym's benchmarks folder")
+    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--seed", type=int, default=0)
+    args = parser.parse_args()
+    for domain in WORLDS:
+        make(args.source, args.out, domain, args.seed)
+
+
+main()
