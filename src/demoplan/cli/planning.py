@@ -111,7 +111,7 @@ def learn_traces(
 
 
 MethodOption = Annotated[
-    str, typer.Option("--method", "-m", help="decision_tree, random_forest, extra_trees, gradient_boosting.")
+    str, typer.Option("--method", "-m", help="decision_tree, distilled_tree, random_forest, extra_trees, …")
 ]
 
 
@@ -159,7 +159,7 @@ def score(
     scores, confusions = score_methods(
         opened,
         Store(store),
-        methods=tuple(method or ("rules", "decision_tree", "random_forest")),
+        methods=tuple(method or ("published_rules", "rules", "decision_tree", "extra_trees")),
         n_workers=workers_of(workers),
         progress=progress,
     )

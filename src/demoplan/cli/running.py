@@ -36,7 +36,8 @@ def run(
     segmenter: Annotated[
         str,
         typer.Option(
-            help="auto, rules, decision_tree, random_forest, extra_trees, gradient_boosting, or a file."
+            help="auto, rules, published_rules, decision_tree, distilled_tree, random_forest, extra_trees, "
+            "gradient_boosting, or a file."
         ),
     ] = "auto",
     fresh: Annotated[

@@ -16,6 +16,7 @@ from demoplan.stages.contrast import ContrastParams, contrast
 from demoplan.stages.score import confusion, majority_activities, score_segmentation
 from demoplan.stages.segment import (
     PUBLISHED_RULES,
+    RULES,
     RuleTree,
     Segmenter,
     SegmentParams,
@@ -38,10 +39,10 @@ MAJORITY = "most frequent activity"
 CONTRAST = ContrastParams()
 """How activities are contrasted; part of what makes transitions stale."""
 
-RULES = "rules"
-"""Name of the published rule tree, where a training method could stand."""
+RULE_TREES = {"rules": RULES, "published_rules": PUBLISHED_RULES}
+"""What needs no labels: the published rule tree with memory for its thresholds, and as it was published."""
 
-METHODS = ("decision_tree", "random_forest", "extra_trees", "gradient_boosting")
+METHODS = ("decision_tree", "distilled_tree", "random_forest", "extra_trees", "gradient_boosting")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,11 +60,10 @@ def usable(states: Iterable[EpisodeState]) -> list[EpisodeState]:
     return [state for state in states if state.status != "quarantined" and "facts" in state.tables]
 
 
-def rules() -> ChosenSegmenter:
-    """The published rules, which need no labels."""
-    return ChosenSegmenter(
-        segmenter=PUBLISHED_RULES, method=RULES, content=content_hash(canonical_json(asdict(PUBLISHED_RULES)))
-    )
+def rules(name: str = "rules") -> ChosenSegmenter:
+    """A rule tree by its name; it needs no labels."""
+    tree = RULE_TREES[name]
+    return ChosenSegmenter(segmenter=tree, method=name, content=content_hash(canonical_json(asdict(tree))))
 
 
 def read_segmenter(path: Path) -> ChosenSegmenter:
@@ -101,7 +101,7 @@ def trained(
     if not labelled:
         raise UsageError(
             f"{opened.dataset.name}: none of {len(states)} episodes has true labels to train from; "
-            f"`--segmenter {RULES}` needs none"
+            f"`--segmenter rules` needs none"
         )
     inputs = {
         f"{state.episode_id}/{name}": state.tables[name]
@@ -146,24 +146,25 @@ def segmenters_for(
         opened: The dataset.
         store: Where the episodes' tables are.
         states: The episodes.
-        method: ``rules``, a training method, or ``auto``: a decision tree if labels allow it, else the rules.
+        method: ``rules``, ``published_rules``, a training method, or ``auto``: a decision tree if labels allow it, else the rules.
 
     Raises:
         UsageError: If the method is unknown, or there are labels of one group only.
     """
-    if method not in (RULES, "auto", *METHODS):
+    if method not in ("auto", *RULE_TREES, *METHODS):
         raise UsageError(
-            f"unknown segmenter {method!r}; known: auto, {RULES}, {', '.join(METHODS)}, or a file"
+            f"unknown segmenter {method!r}; known: auto, {', '.join((*RULE_TREES, *METHODS))}, or a file"
         )
     groups = groups_of(opened)
     good = usable(states)
     labelled = {groups[state.episode_id] for state in good if "labels" in state.tables}
-    if method == RULES or (method == "auto" and len(labelled) < 2):
-        return {state.episode_id: rules() for state in good}
+    if method in RULE_TREES or (method == "auto" and len(labelled) < 2):
+        chosen = rules(method if method in RULE_TREES else "rules")
+        return {state.episode_id: chosen for state in good}
     if len(labelled) < 2:
         raise UsageError(
             f"{opened.dataset.name}: an episode may not be segmented by what was trained on it, and labels "
-            f"are there for {len(labelled)} group(s) only; use `--segmenter {RULES}` or a file"
+            f"are there for {len(labelled)} group(s) only; use `--segmenter rules` or a file"
         )
     params = TrainParams(method="decision_tree" if method == "auto" else method)  # type: ignore[arg-type]
     by_group = {

@@ -11,7 +11,7 @@ import demoplan
 from demoplan.pipeline.activities import (
     MAJORITY,
     METHODS,
-    RULES,
+    RULE_TREES,
     ChosenSegmenter,
     groups_of,
     read_segmenter,
@@ -205,11 +205,10 @@ def _score_activities(part: _Part, store: Store) -> tuple[dy.DataFrame[Scores], 
         return Scores.create_empty(), Confusions.create_empty()
     truth = tables_of(store, labelled, "labels", Activities)
     found = {part.method: tables_of(store, labelled, "activities", Activities)}
-    if part.method != RULES:
-        by_rules = segment_episodes(
-            part.opened, store, labelled, {s.episode_id: rules() for s in labelled}, is_kept=False
-        )
-        found[RULES] = tables_of(store, by_rules, "activities", Activities)
+    for name in sorted(set(RULE_TREES) - {part.method}):
+        chosen = {state.episode_id: rules(name) for state in labelled}
+        by_rules = segment_episodes(part.opened, store, labelled, chosen, is_kept=False)
+        found[name] = tables_of(store, by_rules, "activities", Activities)
     found[MAJORITY] = majority_activities(truth)
     groups = groups_of(part.opened)
     return (
