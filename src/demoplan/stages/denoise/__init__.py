@@ -7,5 +7,6 @@ changed a ground atom; ``chains`` follow each atom between its touches; ``belief
 
 from demoplan.stages.denoise.learning import Denoised, Gathered, conclude, denoise, gather
 from demoplan.stages.denoise.params import DenoiseParams
+from demoplan.stages.denoise.tabling import traces_of
 
-__all__ = ["DenoiseParams", "Denoised", "Gathered", "conclude", "denoise", "gather"]
+__all__ = ["DenoiseParams", "Denoised", "Gathered", "conclude", "denoise", "gather", "traces_of"]
