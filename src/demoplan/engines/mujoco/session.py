@@ -24,6 +24,7 @@ MotionProblem: TypeAlias = Literal[
     "grasped_nothing",
     "object_lost",
     "not_holding",
+    "still_holding",
     "no_contact",
     "off_course",
     "timeout",
@@ -98,7 +99,7 @@ class SkillParams:
     speed_m_per_s: float = 0.45
     """Peak speed of free movements [m/s]."""
     carry_speed_m_per_s: float = 0.35
-    near_speed_m_per_s: float = 0.10
+    near_speed_m_per_s: float = 0.16
     """Peak speed close to objects [m/s]."""
     clearance_m: float = 0.05
     """Free height between what is lowest on a hand, or in it, and what it passes over [m]."""
@@ -262,7 +263,7 @@ class Session(Protocol):
     def true_frames(self, since_ns: int = -1) -> pl.DataFrame:
         """The same as it truly was, up to now: for scoring and pictures, never for deciding."""
 
-    def is_resting_on(self, object: str, support: str) -> bool:
+    def is_resting_on(self, name: str, support: str) -> bool:
         """Whether by physics an object rests on another, or on the table: for scoring only."""
 
     def can_reach(self, hand: str, position_xyz_m: Vector) -> str | None:
