@@ -24,6 +24,10 @@ if TYPE_CHECKING:
     from demoplan.pipeline.run import RunResult
 
 
+HEADLINES = ("frame accuracy", "macro F1", "F1@50", "edit score")
+"""What the terminal shows; the report and --json have the rest."""
+
+
 def register(app: typer.Typer) -> None:
     """Add the command."""
     app.command()(run)
@@ -93,7 +97,11 @@ def _recorded(store: Path, opened: "OpenDataset", n_people: int, seed: int) -> "
 
 
 def _show(result: "RunResult") -> None:
-    main = [s for s in result.scores.iter_rows(named=True) if s["subject"] == "all"]
+    main = [
+        score
+        for score in result.scores.iter_rows(named=True)
+        if score["subject"] == "all" and score["metric"] in HEADLINES
+    ]
     print_table(
         "Activities against the truth",
         ["what", "method", "metric", "value", "95 % interval", "n"],

@@ -146,7 +146,8 @@ def segmenters_for(
         opened: The dataset.
         store: Where the episodes' tables are.
         states: The episodes.
-        method: ``rules``, ``published_rules``, a training method, or ``auto``: a decision tree if labels allow it, else the rules.
+        method: ``rules``, ``published_rules``, a training method, or ``auto``: a decision tree if labels
+            allow it, else the rules.
 
     Raises:
         UsageError: If the method is unknown, or there are labels of one group only.

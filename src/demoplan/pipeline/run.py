@@ -29,7 +29,7 @@ from demoplan.pipeline.reporting import Progress, silent
 from demoplan.pipeline.study import COMBINED, Tried, learn_all, try_goals
 from demoplan.stages.score import confusion, majority_activities, score_segmentation
 from demoplan.stages.score_plans import score_plans
-from demoplan.stages.segment import Segmenter, TrainParams
+from demoplan.stages.segment import RULE_ACTIVITIES, Segmenter, TrainParams
 from demoplan.store import EpisodeState, Store
 from demoplan.store.atomic import write_bytes
 from demoplan.tables import Activities, Confusions, Episodes, Plans, Scores, Topics
@@ -205,7 +205,10 @@ def _score_activities(part: _Part, store: Store) -> tuple[dy.DataFrame[Scores], 
         return Scores.create_empty(), Confusions.create_empty()
     truth = tables_of(store, labelled, "labels", Activities)
     found = {part.method: tables_of(store, labelled, "activities", Activities)}
-    for name in sorted(set(RULE_TREES) - {part.method}):
+    names = set(truth["activity"])
+    # Rules that speak of other activities than the labels do would only be scored for their words.
+    comparable = set(RULE_TREES) if set(RULE_ACTIVITIES) <= names else set()
+    for name in sorted(comparable - {part.method}):
         chosen = {state.episode_id: rules(name) for state in labelled}
         by_rules = segment_episodes(part.opened, store, labelled, chosen, is_kept=False)
         found[name] = tables_of(store, by_rules, "activities", Activities)
