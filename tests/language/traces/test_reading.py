@@ -227,3 +227,19 @@ def test_stretches_selected_and_joined_again_hold_what_they_held():
         *picked.action_arguments.tolist(),
         *rest.action_arguments.tolist(),
     ]
+
+
+@pytest.mark.parametrize(
+    "piece", ["(", " ", "(:state ", "(not (", "(and ", ")", "(:trajectory ", "; (", "(a "]
+)
+def test_a_hostile_file_takes_no_longer_than_a_friendly_one(piece):
+    import time
+
+    def seconds(n):
+        start = time.process_time()
+        read("(:trajectory " + piece * n)
+        return time.process_time() - start
+
+    seconds(100)
+    # Four times the length may cost some more than four times as much, but not the square of it.
+    assert seconds(20_000) < 12 * seconds(5_000) + 0.2

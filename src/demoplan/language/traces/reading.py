@@ -4,45 +4,29 @@ A trace of a million states has tens of millions of atoms, so no value is made p
 of a state are found by one expression and looked up by their text. Lines are counted only for what is wrong.
 """
 
+import bisect
 import itertools
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
+from demoplan.language.traces.scanning import (
+    LEAF,
+    NEGATION,
+    Item,
+    head_of,
+    items,
+    regular_parts,
+    short,
+    without_comments,
+)
 from demoplan.language.traces.values import ABSENT, Codes, Fault, Signatures, TraceSet
 from demoplan.language.types import ROOT
 
-_ITEM = re.compile(r"\(\s*(:state|:init|:action|:operator|operator:)(?=[\s()])", re.IGNORECASE)
-_HEAD = re.compile(r"\s*\(\s*(?::?(?:trajectory|observation))?\s*\)?\s*", re.IGNORECASE)
-_PARTIAL_HEAD = re.compile(
-    r"\s*\(\s*(?::?(?:trajectory|observation))?\s*\(?\s*:partial\s*\)?\s*", re.IGNORECASE
-)
-_LEAF = re.compile(r"\(([^()]*)\)")
-_NEGATION = re.compile(r"\(\s*not\s*\(([^()]*)\)\s*\)", re.IGNORECASE)
-_SKELETON = re.compile(
-    r"\s*\(\s*(?::?(?:trajectory|observation))?\s*"
-    r"(?:\(\s*(?::state|:init)\s*\)\s*\(\s*(?::action|:operator|operator:)\s*\)\s*)+"
-    r"\(\s*:state\s*\)\s*\)\s*",
-    re.IGNORECASE,
-)
-"""A whole trace without the innermost lists, where states and actions alternate as they should."""
-_CONJUNCTION = re.compile(r"\s*\(\s*and(?=[\s()])", re.IGNORECASE)
-_COMMENT = re.compile(r";[^\n]*")
-_MAX_TEXT = 60
-
-
-@dataclass(frozen=True)
-class _Item:
-    """A state or an action as it stands in the text."""
-
-    is_action: bool
-    start: int
-    """Where its contents begin."""
-    body: str
-    problem: str = ""
+_LINE_END = re.compile("\n")
 
 
 class _Codes(dict[str, int]):
@@ -61,10 +45,10 @@ class _Codes(dict[str, int]):
         words = text.lower().split()
         index, signature = self.predicates.get(words[0] if words else "", (ABSENT, None))
         if signature is None:
-            problem = f"unknown predicate in ({_short(text)}); declared: {self.listed}"
+            problem = f"unknown predicate in ({short(text)}); declared: {self.listed}"
         elif len(words) - 1 != len(signature.argument_types):
             wanted = len(signature.argument_types)
-            problem = f"({_short(text)}) has {len(words) - 1} arguments; {signature.name!r} takes {wanted}"
+            problem = f"({short(text)}) has {len(words) - 1} arguments; {signature.name!r} takes {wanted}"
         else:
             key = (index, *(self.objects.setdefault(word, len(self.objects)) for word in words[1:]))
             code = self.atoms.setdefault(key, len(self.atoms))
@@ -147,9 +131,7 @@ class TraceReader:
             file: Its name, for messages and as the trace's name.
             objects: Types of its objects by name. Without them every object is taken as fitting.
         """
-        source = _Source(
-            _COMMENT.sub(lambda match: " " * len(match[0]), text) if ";" in text else text, file, self
-        )
+        source = _Source(without_comments(text), file, self)
         types = None if objects is None else self._declare(objects, source)
         if not self._quick(source, types):
             self._sequence(source, types)
@@ -176,13 +158,10 @@ class TraceReader:
 
     def _quick(self, source: "_Source", types: Mapping[int, str] | None) -> bool:
         """Read a trace that has nothing wrong with it; otherwise change nothing and say so."""
-        if not _SKELETON.fullmatch(_LEAF.sub("", source.text)):
+        regular = regular_parts(source.text)
+        if regular is None:
             return False
-        head, *parts = _ITEM.split(source.text)
-        if _PARTIAL_HEAD.fullmatch(head):
-            return False
-        bodies = parts[1::2]
-        states = [_LEAF.findall(body) for body in bodies[::2]]
+        states, bodies = regular
         codes = np.fromiter(
             map(self._codes.__getitem__, itertools.chain.from_iterable(states)), dtype=np.int64
         )
@@ -194,7 +173,7 @@ class TraceReader:
                 return False
         actions: list[tuple[int, tuple[int, ...]]] = []
         known = source.verdicts.actions
-        for body in bodies[1::2]:
+        for body in bodies:
             action = known.get(body)
             if action is None:
                 found, problem = self._parsed_action(body, types)
@@ -220,7 +199,10 @@ class TraceReader:
         n_states, n_actions = 0, 0
         trace = ABSENT
         last = "nothing"
-        for item in source.items():
+        source.is_partial, problem = head_of(source.text)
+        if problem:
+            source.fault(len(source.text) - len(source.text.lstrip()), problem)
+        for item in items(source.text):
             if item.is_action:
                 action = self._action(item, source, types)
                 if last == "nothing":
@@ -269,19 +251,19 @@ class TraceReader:
             atoms.append(array)
 
     def _state(
-        self, item: _Item, source: "_Source", types: Mapping[int, str] | None
+        self, item: Item, source: "_Source", types: Mapping[int, str] | None
     ) -> tuple[list[int], list[int], bool]:
         if item.problem:
             source.fault(item.start, item.problem)
             return [], [], True
         body, denied = item.body, list[str]()
-        if "not" in body.lower() and _NEGATION.search(body):
-            denied = _NEGATION.findall(body)
-            body = _NEGATION.sub("", body)
-        true = list(map(self._codes.__getitem__, _LEAF.findall(body)))
+        if "not" in body.lower() and NEGATION.search(body):
+            denied = NEGATION.findall(body)
+            body = NEGATION.sub("", body)
+        true = list(map(self._codes.__getitem__, LEAF.findall(body)))
         false = list(map(self._codes.__getitem__, denied))
         if min(true, default=0) < 0 or min(false, default=0) < 0:
-            for text in (*_LEAF.findall(body), *denied):
+            for text in (*LEAF.findall(body), *denied):
                 code = self._codes[text]
                 if code < 0:
                     source.fault(
@@ -295,7 +277,7 @@ class TraceReader:
         return true, false, bool(denied)
 
     def _fitting(
-        self, codes: list[int], item: _Item, source: "_Source", types: Mapping[int, str]
+        self, codes: list[int], item: Item, source: "_Source", types: Mapping[int, str]
     ) -> list[int]:
         """Codes of atoms whose objects are declared and of the right types."""
         self._judge(np.array(sorted(set(codes)), dtype=np.int64), source.verdicts, types)
@@ -347,7 +329,7 @@ class TraceReader:
         return self._names[index]
 
     def _action(
-        self, item: _Item, source: "_Source", types: Mapping[int, str] | None
+        self, item: Item, source: "_Source", types: Mapping[int, str] | None
     ) -> tuple[int, tuple[int, ...]] | None:
         """The action's signature and objects, or nothing after telling the fault."""
         found, problem = self._parsed_action(item.body, types)
@@ -360,10 +342,10 @@ class TraceReader:
         self, body: str, types: Mapping[int, str] | None
     ) -> tuple[tuple[int, tuple[int, ...]] | None, str]:
         """The action's signature and objects, or what is wrong with them."""
-        leaves = _LEAF.findall(body)
+        leaves = LEAF.findall(body)
         words = leaves[0].lower().split() if len(leaves) == 1 else []
         if not words:
-            return None, f"expected one (action object …), found {_short(body)!r}"
+            return None, f"expected one (action object …), found {short(body)!r}"
         index, signature = self._actions.get(words[0], (ABSENT, None))
         if signature is None:
             listed = ", ".join(sorted(each.name for each in self.signatures.actions)) or "none"
@@ -443,43 +425,13 @@ class _Source:
         self.is_partial = False
         self.types: dict[int, str] | None = None
         self.verdicts = _Verdicts()
+        self._line_ends: list[int] = []
 
     def fault(self, position: int, problem: str) -> None:
         self.n_faults += 1
-        self._reader.note(self.file, self.text.count("\n", 0, position) + 1, problem)
-
-    def items(self) -> Iterator[_Item]:
-        """States and actions in order; what stands between them must be brackets that close."""
-        openers = list(_ITEM.finditer(self.text))
-        head = self.text[: openers[0].start()] if openers else self.text
-        self.is_partial = _PARTIAL_HEAD.fullmatch(head) is not None
-        if head.strip() and not self.is_partial and not _HEAD.fullmatch(head):
-            self.fault(len(head) - len(head.lstrip()), f"expected (:trajectory …), found {_short(head)!r}")
-        for n, opener in enumerate(openers):
-            is_last = n + 1 == len(openers)
-            body = self.text[opener.end() : len(self.text) if is_last else openers[n + 1].start()]
-            is_action = opener[1].lower() in {":action", ":operator", "operator:"}
-            yield _Item(is_action, opener.end(), body, _malformed(body, is_last=is_last))
-
-
-def _malformed(body: str, *, is_last: bool) -> str:
-    """What is wrong with the brackets of an item; empty if nothing is."""
-    rest = _LEAF.sub("", body).strip()
-    if rest == ")" or (is_last and rest.replace(")", "").strip() == "" and rest.count(")") == 2):
-        return ""
-    rest = _LEAF.sub("", _NEGATION.sub("", body))
-    conjunction = _CONJUNCTION.match(rest)
-    extra = (1 if conjunction else 0) + (1 if is_last else 0)
-    rest = "".join((rest[conjunction.end() :] if conjunction else rest).split())
-    if rest.strip(")"):
-        return f"not an atom: {_short(rest.replace(')', ' ').strip())!r}"
-    missing = 1 + extra - len(rest)
-    return "" if missing == 0 else ("'(' is never closed" if missing > 0 else "')' without a '(' before it")
-
-
-def _short(text: str) -> str:
-    words = " ".join(text.split())
-    return words if len(words) <= _MAX_TEXT else words[: _MAX_TEXT - 1] + "…"
+        if not self._line_ends:
+            self._line_ends = [match.start() for match in _LINE_END.finditer(self.text)] or [len(self.text)]
+        self._reader.note(self.file, bisect.bisect_left(self._line_ends, position) + 1, problem)
 
 
 def _distinct(codes: Codes) -> Codes:

@@ -226,7 +226,12 @@ def _literals(
     kept, reasons = conditions, dict[Candidate, str]()
     negative: dict[Candidate, str] = {}
     if implications is not None:
-        avoided = [over[index] for index in indices if verdicts.avoided[index] > _SURE]
+        # Nobody does again what is done: that a literal was false before the action adds it is a habit.
+        avoided = [
+            over[index]
+            for index in indices
+            if verdicts.avoided[index] > _SURE and verdicts.effect[index] != ADD
+        ]
         n_instances = int(counts.n_transitions[over[indices[0]].action])
         kept, reasons = needed(conditions, is_deleted, implications)
         negative = implications.forbidden(conditions, avoided, n_instances)
