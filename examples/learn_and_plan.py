@@ -1,7 +1,7 @@
 """From two logs to a plan, stage by stage, without a store: what `demoplan run` does, in thirty lines.
 
-Run it from the checkout: ``python examples/learn_and_plan.py``. Two people stack one cube on another; the plan
-is for a tower of three, which neither of them built.
+Run it from the checkout: ``python examples/learn_and_plan.py``. Two people stack one cube on another; the
+plan is for a tower of three, which neither of them built.
 """
 
 from pathlib import Path
