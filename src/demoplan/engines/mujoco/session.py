@@ -16,6 +16,8 @@ from demoplan.errors import UnknownNameError
 Vector: TypeAlias = tuple[float, float, float]
 Quaternion: TypeAlias = tuple[float, float, float, float]
 
+SKILL_NAMES = ("reach", "grasp", "carry", "lift", "release", "rest")
+
 MotionState: TypeAlias = Literal["running", "succeeded", "failed", "blocked", "cancelled"]
 MotionProblem: TypeAlias = Literal[
     "out_of_reach",
@@ -39,7 +41,7 @@ class Motion:
     activity: str
     """Activity that the plan's operator is named after."""
     skill: str
-    """Which motion carries it out: ``reach``, ``grasp``, ``carry``, ``release`` or ``rest``."""
+    """Which motion carries it out: ``reach``, ``grasp``, ``carry``, ``lift``, ``release``, ``rest``."""
     object: str | None = None
     """What is reached for, taken, carried or let go."""
     support: str | None = None

@@ -37,7 +37,7 @@ class Stance:
     def radius_m(self) -> float:
         """Radius of an upright cylinder that holds it."""
         extents = [extent for extent, _ in self.sides]
-        return extents[0] / 2 if self.is_round else float(np.hypot(*extents)) / 2
+        return extents[0] / 2 if self.is_round else float(np.hypot(extents[0], extents[1])) / 2
 
 
 def stance_of(kind: str, size_xyz_m: Array, position_xyz_m: Array, orientation_wxyz: Array) -> Stance:

@@ -324,12 +324,26 @@ def _lower(control: ArmControl, goal_xyz_m: Array, yaw_rad: float) -> Script:
     below = goal_xyz_m - np.array([0.0, 0.0, 0.002])
 
     def has_landed() -> bool:
-        return control.position_xyz_m()[2] - control.start_xyz_m()[2] > 0.004
+        return bool(control.position_xyz_m()[2] - control.start_xyz_m()[2] > 0.004)
 
     yield from control.go_straight(
         below, yaw_rad, 0.04, opening_m=control.opening_m(), stop=has_landed, depth_m=0.008
     )
     yield from control.wait(control.params.settle_s)
+
+
+def lift(control: ArmControl, motion: Motion) -> Script:
+    """Lift what is in the hand straight up, and keep it there."""
+    name, params = _named(motion), control.params
+    if control.held is None or control.held.object != name:
+        raise MotionFailed("not_holding", f"{control.arm.hand} does not hold {name}", is_blocked=True)
+    _require_hold(control, name)
+    control.may_touch = frozenset([name, *_beneath(control, name)])
+    goal = control.start_xyz_m() + np.array([0.0, 0.0, params.approach_m])
+    yield from control.go_straight(
+        goal, control.yaw_rad(), params.near_speed_m_per_s, opening_m=control.opening_m()
+    )
+    _require_hold(control, name)
 
 
 def release(control: ArmControl, motion: Motion) -> Script:
@@ -395,6 +409,7 @@ SKILLS: dict[str, Callable[[ArmControl, Motion], Script]] = {
     "reach": reach,
     "grasp": grasp,
     "carry": carry,
+    "lift": lift,
     "release": release,
     "rest": rest,
 }
