@@ -1,0 +1,210 @@
+"""Planning from what is sensed: the first plan, every further one, and what is refused before it begins."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from demoplan.engines.fast_downward import Attempt, SolveParams, solve
+from demoplan.engines.mujoco.session import Session
+from demoplan.errors import DemoplanError
+from demoplan.language.atoms import Atom, Literal
+from demoplan.language.domains import Domain, Operator, Plan, Problem
+from demoplan.language.execution import GroundOperator, ground
+from demoplan.language.momentary import Momentary
+from demoplan.language.possibility import impossibility
+from demoplan.pipeline.senses import TABLE, Senses
+from demoplan.pipeline.skills import Roles, bind
+from demoplan.stages.ask import ask
+from demoplan.stages.monitor import SensedState
+
+
+@dataclass(frozen=True, kw_only=True)
+class Planned:
+    """A plan, or why there is none."""
+
+    plan: Plan | None
+    domain: Domain
+    """What the plan's steps mean: the domain itself, or what of it lasts."""
+    outcome: str
+    """``solved``, or an outcome of ``Runs``."""
+    reason: str
+
+
+def plan_from(
+    domain: Domain,
+    goal: frozenset[Literal],
+    sensed: SensedState,
+    senses: Senses,
+    momentary: Momentary,
+    params: SolveParams,
+    *,
+    is_first: bool,
+    gone: frozenset[str],
+) -> Planned:
+    """A plan from a sensed state.
+
+    Args:
+        domain: Operators.
+        goal: What shall hold.
+        sensed: The state to plan from.
+        senses: Names and types of what is there.
+        momentary: Which predicates tell of motions in progress. Where the full domain has no plan from the
+            middle of things, what lasts of it is planned with.
+        params: Limits.
+        is_first: Nothing has been done yet: the full domain must do.
+        gone: Objects that are no longer there.
+    """
+    present = {name: kind for name, kind in senses.type_of.items() if name not in gone}
+    needed = sorted({name for each in goal for name in each.atom.arguments} & gone)
+    if needed:
+        return Planned(
+            plan=None, domain=domain, outcome="no_plan", reason=f"the goal needs {needed[0]}, which is gone"
+        )
+    known = {signature.name for signature in domain.predicates}
+    state = momentary.state_to_plan_from(
+        frozenset(
+            atom for atom in sensed.held if atom.predicate in known and set(atom.arguments) <= set(present)
+        )
+    )
+    whole = momentary.one_thing_at_a_time(domain)
+    ladder = [whole] if is_first else [whole, momentary.lasting_domain(whole)]
+    answer: Attempt | None = None
+    for rung in ladder:
+        start = state if rung is whole else momentary.lasting_state(state, present, domain.types)
+        try:
+            problem = ask(rung, start, present, goal, "execution")
+        except DemoplanError as error:
+            return Planned(plan=None, domain=domain, outcome="no_plan", reason=str(error))
+        answer = solve(rung, problem, params)
+        if answer.plan is not None and answer.is_validated:
+            return _checked(answer.plan, rung, problem, senses)
+        if answer.outcome != "unsolvable":
+            break
+    assert answer is not None
+    outcome = "no_plan" if answer.outcome in {"unsolvable", "bad_input"} else "planner_failed"
+    return Planned(plan=None, domain=domain, outcome=outcome, reason=f"{answer.outcome}: {answer.message}")
+
+
+def _checked(plan: Plan, domain: Domain, problem: Problem, senses: Senses) -> Planned:
+    refuted = impossibility(problem, domain, plan)
+    if refuted is not None:
+        return Planned(
+            plan=plan, domain=domain, outcome="refuted", reason=f"the plan could not happen: {refuted}"
+        )
+    reason = out_of_reach(plan, domain, senses)
+    if reason is not None:
+        return Planned(plan=None, domain=domain, outcome="out_of_reach", reason=reason)
+    return Planned(plan=plan, domain=domain, outcome="solved", reason="")
+
+
+def out_of_reach(plan: Plan, domain: Domain, senses: Senses, roles: Roles = Roles()) -> str | None:
+    """The first place of a plan that its hand cannot get to, before anything moves; None if there is none.
+
+    Places are where objects are seen now, and where the plan's own steps put them: a tower grows by the
+    height of each object that is put on it.
+    """
+    session: Session = senses.session
+    heights = {each.name: each.size_xyz_m[2] for each in session.scene.objects}
+    places: dict[str, np.ndarray] = {}
+    for name in heights:
+        seen = senses.position(name)
+        if seen is not None:
+            places[name] = seen
+    operators = {operator.name: operator for operator in domain.operators}
+    told: set[tuple[str, str, tuple[float, ...]]] = set()
+    for number, step in enumerate(plan.steps, 1):
+        operator = operators[step.operator]
+        grounded = ground(operator, step)
+        bound = bind(grounded, operator, senses.type_of, domain.types, roles)
+        thing = bound.thing
+        if thing is None or thing not in places or bound.hand is None:
+            continue
+        if bound.support is not None and bound.support != TABLE and bound.support in places:
+            rise = (heights[bound.support] + heights[thing]) / 2
+            places[thing] = places[bound.support] + np.array([0.0, 0.0, rise])
+        spot = tuple(float(value) for value in np.round(places[thing], 3))
+        if (bound.hand, thing, spot) in told:
+            continue
+        told.add((bound.hand, thing, spot))
+        why = session.can_reach(bound.hand, (spot[0], spot[1], spot[2]))
+        if why is not None:
+            return f"step {number}, {step}: {bound.hand} cannot get to {thing} at {spot}: {why}"
+    return None
+
+
+def amended(
+    domain: Domain,
+    step: GroundOperator,
+    missing: tuple[Literal, ...],
+    extra: tuple[Literal, ...],
+) -> Domain | None:
+    """The domain with what an operator promised wrongly replaced by what is observed instead.
+
+    Args:
+        domain: What was planned with.
+        step: A step of the operator, run with its motion as it should be.
+        missing: Its effects that are observed not to come about: their opposites are put in their place.
+        extra: Changes that it does not promise; those about its own arguments are put in.
+
+    Returns:
+        The corrected domain; None if there is nothing that an operator of those parameters could say.
+    """
+    operators = []
+    is_changed = False
+    for operator in domain.operators:
+        if operator.name != step.step.operator:
+            operators.append(operator)
+            continue
+        lifted = _variables_of(operator, step)
+        effects = set(operator.effects)
+        for literal in missing:
+            said = literal.substitute(lifted)
+            if said in effects:
+                effects.discard(said)
+                effects.add(said.negated())
+                is_changed = True
+        for literal in extra:
+            if set(literal.atom.arguments) <= set(lifted):
+                said = literal.substitute(lifted)
+                effects.discard(said.negated())
+                effects.add(said)
+                is_changed = True
+        # What a condition says already is no change.
+        kept = frozenset(effects) - operator.preconditions
+        operators.append(replace(operator, effects=kept))
+    return replace(domain, operators=tuple(operators)) if is_changed else None
+
+
+def _variables_of(operator: Operator, step: GroundOperator) -> dict[str, str]:
+    return {
+        name: parameter.variable
+        for name, parameter in zip(step.step.arguments, operator.parameters, strict=True)
+    }
+
+
+def lifted_text(
+    literals: tuple[Literal, ...], operator: Operator | None, step: GroundOperator | None
+) -> tuple[str, ...]:
+    """Literals in an operator's variables where they speak of its arguments, as sorted text."""
+    names: Mapping[str, str] = {} if operator is None or step is None else _variables_of(operator, step)
+    return tuple(sorted(str(literal.substitute(dict(names))) for literal in literals))
+
+
+def emptied_hands(
+    goal: frozenset[Literal], hands: tuple[str, ...], predicates: tuple[str, ...], domain: Domain
+) -> frozenset[Literal]:
+    """The goal, and that hands are open in the end where nothing else is asked of them.
+
+    What a hand still holds has not been shown to stand by itself.
+    """
+    known = {signature.name for signature in domain.predicates}
+    changed = {effect.atom.predicate for each in domain.operators for effect in each.effects}
+    spoken_of = {name for literal in goal for name in literal.atom.arguments}
+    return goal | {
+        Literal(Atom(predicate, (hand,)))
+        for predicate in predicates
+        if predicate in known & changed
+        for hand in hands
+        if hand not in spoken_of
+    }
