@@ -1,8 +1,12 @@
 """Touches and the counts between them are what a walk over every atom and state would find."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from demoplan.errors import DataError
+from demoplan.language.domains import Signature
 from demoplan.stages.denoise.params import DenoiseParams
 from demoplan.stages.denoise.touches import GroundCodes, candidates, spans, touch
 
@@ -66,3 +70,11 @@ def test_spans_cut_long_traces_and_stop_when_every_action_has_enough(courier):
     owner = np.searchsorted(few.first, traces.action_state, side="right") - 1
     kept = traces.action_signature[(owner >= 0) & (traces.action_state <= few.last[np.maximum(owner, 0)])]
     assert set(kept.tolist()) == set(traces.action_signature.tolist())
+
+
+def test_more_objects_than_codes_can_hold_are_refused_with_advice(courier):
+    traces = replace(courier(1), object_names=tuple(f"o{n}" for n in range(3_000_000_000 // 1000)))
+    wide = Signature("related", ("object",) * 3)
+    signatures = replace(traces.signatures, predicates=(*traces.signatures.predicates, wide))
+    with pytest.raises(DataError, match="3000000 objects in predicates of 3 arguments"):
+        GroundCodes(replace(traces, signatures=signatures))

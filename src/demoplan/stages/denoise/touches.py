@@ -68,13 +68,14 @@ class GroundCodes:
         """Choose the radix so that every atom of the traces has a code.
 
         Raises:
-            OverflowError: If objects and arguments are so many that codes pass 63 bits.
+            DataError: If objects and arguments are so many that codes pass 63 bits.
         """
         self.base = len(traces.object_names) + 1
         self.width = max((len(each.argument_types) for each in traces.signatures.predicates), default=0)
         if len(traces.signatures.predicates) * self.base**self.width >= 2**62:
-            raise OverflowError(
-                f"{self.base - 1} objects in {self.width} arguments are more than can be coded"
+            raise DataError(
+                f"{self.base - 1} objects in predicates of {self.width} arguments are more than can be coded; "
+                "give the objects of different traces the same names, or learn from fewer traces at a time"
             )
 
     def of(self, predicate: Codes | int, columns: list[Codes], n: int) -> Codes:
