@@ -61,11 +61,12 @@ def ingest(
     as_json: JsonOption = False,
 ) -> None:
     """Read, align and perceive every episode of a dataset into the store."""
-    from demoplan.pipeline.datasets import open_dataset
+    from demoplan.pipeline.datasets import open_dataset, remember
     from demoplan.pipeline.ingest import ingest as ingest_all
     from demoplan.pipeline.ingest import jobs_of
 
     opened = open_dataset(dataset, root=root, environment=os.environ)
+    remember(opened, Store(store))
     jobs = jobs_of(opened, Store(store), opened.dataset.episodes)
     with progress("ingest", len(jobs)) as done:
         states = ingest_all(
@@ -73,6 +74,7 @@ def ingest(
             n_workers=workers_of(workers),
             on_done=lambda state: done(f"{state.episode_id} {state.status}"),
         )
+    Store(store).snapshots.take(Store(store).manifest.episodes(), f"ingest {opened.dataset.name}")
     if not as_json:
         print_table(
             f"{opened.dataset.name}: {len(states)} episodes",

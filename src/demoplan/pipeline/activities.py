@@ -1,6 +1,7 @@
 """Facts to activities to transitions, over the store; and the training of segmenters."""
 
-from collections.abc import Callable, Iterable, Sequence
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
@@ -8,7 +9,7 @@ import dataframely as dy
 import polars as pl
 
 from demoplan.errors import UnknownNameError, UsageError
-from demoplan.ids import content_hash
+from demoplan.ids import ContentHash, content_hash
 from demoplan.pipeline.datasets import OpenDataset, remember
 from demoplan.pipeline.ingest import EpisodeTables, ingest, jobs_of
 from demoplan.pipeline.reporting import Progress, silent
@@ -103,15 +104,10 @@ def trained(
             f"{opened.dataset.name}: none of {len(states)} episodes has true labels to train from; "
             f"`--segmenter rules` needs none"
         )
-    inputs = {
-        f"{state.episode_id}/{name}": state.tables[name]
-        for state in labelled
-        for name in ("frames", "facts", "labels")
-    }
-    version = code_version("demoplan.stages.segment")
-    settings = canonical_json({"params": asdict(params), "entities": entity_types(opened)})
-    path = store.root / "segmenters" / f"{stage_key('train', inputs, settings, version)}.json"
+    key = training_key(opened, labelled, params)
+    path = segmenter_path(store, key)
     if not path.is_file():
+        start = time.perf_counter()
         segmenter = train(
             tables_of(store, labelled, "frames", Frames),
             tables_of(store, labelled, "facts", Facts),
@@ -121,7 +117,32 @@ def trained(
             params=params,
         )
         write_bytes(path, render_segmenter(segmenter).encode())
+        store.timings.note("train", key, time.perf_counter() - start)
     return replace(read_segmenter(path), method=params.method)
+
+
+def training_key(opened: OpenDataset, states: Iterable[EpisodeState], params: TrainParams) -> ContentHash:
+    """What names the segmenter that training on the labelled ones of these episodes gives."""
+    inputs = {
+        f"{state.episode_id}/{name}": state.tables[name]
+        for state in states
+        if "labels" in state.tables
+        for name in ("frames", "facts", "labels")
+    }
+    version = code_version("demoplan.stages.segment")
+    settings = canonical_json(
+        {
+            "params": asdict(params),
+            "entities": entity_types(opened),
+            "types": opened.vocabulary.types.parents,
+        }
+    )
+    return stage_key("train", inputs, settings, version)
+
+
+def segmenter_path(store: Store, key: ContentHash) -> Path:
+    """Where the store keeps the segmenter of that key."""
+    return store.root / "segmenters" / f"{key}.json"
 
 
 def entity_types(opened: OpenDataset) -> dict[str, str]:
@@ -135,6 +156,17 @@ def groups_of(opened: OpenDataset) -> dict[str, str]:
     if len(set(participants.values())) > 1:
         return participants
     return {name: name for name in participants}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Training:
+    """Which segmenters a dataset needs, so that none has seen an episode that it is used on."""
+
+    params: TrainParams
+    groups: Mapping[str, str]
+    """Episode → group."""
+    sets: Mapping[str, tuple[EpisodeState, ...]]
+    """Group → the usable episodes of all other groups."""
 
 
 def segmenters_for(
@@ -152,6 +184,24 @@ def segmenters_for(
     Raises:
         UsageError: If the method is unknown, or there are labels of one group only.
     """
+    training = training_of(opened, states, method)
+    good = usable(states)
+    if isinstance(training, ChosenSegmenter):
+        return {state.episode_id: training for state in good}
+    by_group = {
+        group: trained(opened, store, others, training.params) for group, others in training.sets.items()
+    }
+    return {state.episode_id: by_group[training.groups[state.episode_id]] for state in good}
+
+
+def training_of(
+    opened: OpenDataset, states: Sequence[EpisodeState], method: str
+) -> Training | ChosenSegmenter:
+    """What must be trained for ``segmenters_for``, or the rule tree that serves every episode.
+
+    Raises:
+        UsageError: If the method is unknown, or there are labels of one group only.
+    """
     if method not in ("auto", *RULE_TREES, *METHODS):
         raise UsageError(
             f"unknown segmenter {method!r}; known: auto, {', '.join((*RULE_TREES, *METHODS))}, or a file"
@@ -160,19 +210,20 @@ def segmenters_for(
     good = usable(states)
     labelled = {groups[state.episode_id] for state in good if "labels" in state.tables}
     if method in RULE_TREES or (method == "auto" and len(labelled) < 2):
-        chosen = rules(method if method in RULE_TREES else "rules")
-        return {state.episode_id: chosen for state in good}
+        return rules(method if method in RULE_TREES else "rules")
     if len(labelled) < 2:
         raise UsageError(
             f"{opened.dataset.name}: an episode may not be segmented by what was trained on it, and labels "
             f"are there for {len(labelled)} group(s) only; use `--segmenter rules` or a file"
         )
-    params = TrainParams(method="decision_tree" if method == "auto" else method)  # type: ignore[arg-type]
-    by_group = {
-        group: trained(opened, store, [s for s in good if groups[s.episode_id] != group], params)
-        for group in sorted({groups[state.episode_id] for state in good})
-    }
-    return {state.episode_id: by_group[groups[state.episode_id]] for state in good}
+    return Training(
+        params=TrainParams(method="decision_tree" if method == "auto" else method),  # type: ignore[arg-type]
+        groups=groups,
+        sets={
+            group: tuple(s for s in good if groups[s.episode_id] != group)
+            for group in sorted({groups[state.episode_id] for state in good})
+        },
+    )
 
 
 def segment_episodes(
@@ -196,12 +247,13 @@ def segment_episodes(
         is_kept: Whether the manifest names the results as what now stands for the episodes.
         on_done: Called with each episode when it is done.
     """
-    entities = entity_types(opened)
     results = []
     for state in states:
         result = state
         if state.episode_id in segmenters:
-            result = _segment_one(opened, store, state, segmenters[state.episode_id], params, entities)
+            tables = EpisodeTables(store)
+            segment_stages(opened, state, segmenters[state.episode_id], tables, params)
+            result = replace(state, tables=tables.contents, keys=state.keys | tables.keys)
         results.append(result)
         on_done(result)
     if is_kept:
@@ -209,15 +261,15 @@ def segment_episodes(
     return results
 
 
-def _segment_one(
+def segment_stages(
     opened: OpenDataset,
-    store: Store,
     state: EpisodeState,
     chosen: ChosenSegmenter,
-    params: SegmentParams,
-    entities: dict[str, str],
-) -> EpisodeState:
-    tables = EpisodeTables(store)
+    tables: EpisodeTables,
+    params: SegmentParams = SegmentParams(),
+) -> None:
+    """Run the stages from facts to transitions of an episode whose output is not there."""
+    entities = entity_types(opened)
     tables.contents |= state.tables
     tables.run(
         "segment",
@@ -256,7 +308,6 @@ def _segment_one(
             )
         },
     )
-    return replace(state, tables=tables.contents, keys=state.keys | tables.keys)
 
 
 def _ingested(opened: OpenDataset, store: Store, n_workers: int, progress: Progress) -> list[EpisodeState]:

@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from demoplan.errors import StoreError, UnknownNameError, UsageError
@@ -108,9 +108,16 @@ def open_dataset(
     )
 
 
-def remember(opened: OpenDataset, store: Store) -> None:
-    """Keep a dataset's manifest and vocabulary beside what they produced."""
+def remember(opened: OpenDataset, store: Store, *, segmenter: str | None = None) -> None:
+    """Keep a dataset's manifest and vocabulary beside what they produced.
+
+    Args:
+        opened: The dataset.
+        store: The store.
+        segmenter: What its activities are found with, as ``run`` takes it; otherwise what was kept stays.
+    """
     kept = {
+        "segmenter": segmenter if segmenter is not None else segmenter_of(store, opened.dataset.name),
         "folder": str(opened.folder),
         "root": str(opened.root),
         "manifest": opened.manifest_text,
@@ -120,6 +127,41 @@ def remember(opened: OpenDataset, store: Store) -> None:
         store.root / "datasets" / f"{opened.dataset.name}.json",
         (json.dumps(kept, sort_keys=True, indent=1) + "\n").encode(),
     )
+
+
+def remembered(store: Store) -> list[str]:
+    """Names of the datasets that the store has seen, sorted."""
+    return sorted(path.stem for path in (store.root / "datasets").glob("*.json") if is_safe_name(path.stem))
+
+
+def segmenter_of(store: Store, name: str) -> str | None:
+    """What a dataset's activities were last found with; None if the store does not know."""
+    path = store.root / "datasets" / f"{name}.json"
+    if not path.is_file():
+        return None
+    try:
+        segmenter = json.loads(path.read_text(encoding="utf-8")).get("segmenter")
+    except (OSError, ValueError, AttributeError) as error:
+        raise StoreError(f"{path}: cannot be read: {error}; ingest the dataset again") from None
+    return None if segmenter is None else str(segmenter)
+
+
+def reopen(store: Store, name: str, environment: Mapping[str, str] | None = None) -> OpenDataset:
+    """A dataset as it is now, where the store last saw it; as it was then if its manifest is gone.
+
+    Its logs need not be there.
+
+    Raises:
+        UnknownNameError: If the store has not seen it.
+        ManifestError: If its manifest or its vocabulary now breaks its contract.
+    """
+    kept = recall(store, name)
+    if not (kept.folder / MANIFEST_NAME).is_file():
+        return kept
+    # Any folder serves as root while the manifest is read: the logs may be on a disk that is away.
+    opened = open_dataset(kept.folder, root=kept.folder)
+    named = (environment or {}).get(opened.dataset.root_variable or "")
+    return replace(opened, root=Path(named) if named else kept.root)
 
 
 def recall(store: Store, name: str) -> OpenDataset:

@@ -20,7 +20,7 @@ from demoplan.manifests.mapping import Mapping
 from demoplan.pipeline.datasets import OpenDataset
 from demoplan.stages.align import AlignParams, align
 from demoplan.stages.perceive import PerceiveParams, perceive
-from demoplan.store import EpisodeState, Store
+from demoplan.store import EpisodeState, Store, stage_key
 from demoplan.store.code_version import code_version
 from demoplan.store.objects import Table
 from demoplan.store.store import StageOutput, canonical_json
@@ -41,6 +41,8 @@ class IngestJob:
     vocabulary: Vocabulary
     definitions_root: Path
     tick_rate_hz: float
+    known_sha256: str | None = None
+    """Hash of the log's bytes where it is not there to be read any more, but was read before."""
 
 
 def jobs_of(opened: OpenDataset, store: Store, episodes: Sequence[Episode]) -> list[IngestJob]:
@@ -77,6 +79,8 @@ class EpisodeTables:
         self.contents: dict[str, str] = {}
         self.keys: dict[str, str] = {}
         self.notes: dict[str, str] = {}
+        self.attempt: str | None = None
+        """Key of the stage that runs now; it stays if the stage fails."""
 
     def run(
         self,
@@ -97,7 +101,10 @@ class EpisodeTables:
             made.update({name: table for name, (table, _) in tables.items()})
             return StageOutput(tables=tables, notes=dict(self.notes))
 
-        record = self.store.run(stage, inputs, canonical_json(params), code_version(*modules), work)
+        version = code_version(*modules)
+        self.attempt = str(stage_key(stage, inputs, canonical_json(params), version))
+        record = self.store.run(stage, inputs, canonical_json(params), version, work)
+        self.attempt = None
         self.contents |= record.outputs
         self.keys[stage] = str(record.key)
         self.notes |= record.notes
@@ -137,18 +144,8 @@ def ingest_episode(job: IngestJob, *, may_work: bool = True) -> EpisodeState:
     state = EpisodeState(dataset=job.dataset, episode_id=episode.id)
     sha256: str | None = None
     try:
-        sha256 = str(fingerprint(job.log))
-        if episode.sha256 is not None and episode.sha256 != sha256:
-            raise LogError(
-                job.log,
-                f"its content is not what the manifest names: sha256 {sha256}, expected {episode.sha256}; "
-                "it was changed or damaged on the way",
-            )
-        _read(job, tables, sha256)
-        _align(job, tables)
-        _perceive(job, tables)
-        if job.labels is not None:
-            _labels(job, tables)
+        sha256 = log_hash(job)
+        run_stages(job, tables, sha256)
         status, reason = tables.notes.get("status", "complete"), tables.notes.get("reason") or None
     except StoreError:
         raise
@@ -178,7 +175,33 @@ def ingest_episode(job: IngestJob, *, may_work: bool = True) -> EpisodeState:
         },
     )
     contents = tables.contents | {"episodes": str(store.objects.put(row, Episodes))}
-    return replace(state, tables=contents, keys=tables.keys, status=status, reason=reason)
+    attempt = tables.attempt if status == "quarantined" else None
+    return replace(state, tables=contents, keys=tables.keys, status=status, reason=reason, attempt=attempt)
+
+
+def log_hash(job: IngestJob) -> str:
+    """The hash of the bytes of a job's log.
+
+    Raises:
+        LogError: If the log cannot be read, or is not the one that the dataset's manifest names.
+    """
+    sha256 = job.known_sha256 or str(fingerprint(job.log))
+    if job.episode.sha256 is not None and job.episode.sha256 != sha256:
+        raise LogError(
+            job.log,
+            f"its content is not what the manifest names: sha256 {sha256}, expected {job.episode.sha256}; "
+            "it was changed or damaged on the way",
+        )
+    return sha256
+
+
+def run_stages(job: IngestJob, tables: EpisodeTables, sha256: str) -> None:
+    """Run every stage of ingesting an episode whose output is not there."""
+    _read(job, tables, sha256)
+    _align(job, tables)
+    _perceive(job, tables)
+    if job.labels is not None:
+        _labels(job, tables)
 
 
 def _read(job: IngestJob, tables: EpisodeTables, sha256: str) -> None:

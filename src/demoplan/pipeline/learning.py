@@ -16,7 +16,8 @@ from demoplan.stages.compose import compose, support_of
 from demoplan.stages.learn import LearnParams, learn
 from demoplan.store import DomainVersion, EpisodeState, Store
 from demoplan.store.code_version import code_version
-from demoplan.store.store import canonical_json
+from demoplan.store.domains import TABLES
+from demoplan.store.store import StageOutput, canonical_json
 from demoplan.tables import Evidence, Literals, Operators, Transitions
 
 
@@ -49,9 +50,19 @@ def learn_domain(
     chosen = sorted((s for s in states if "transitions" in s.tables), key=lambda s: s.episode_id)
     if not chosen:
         raise UsageError(f"{name}: none of {len(states)} episodes has activities to learn from")
-    transitions = tables_of(store, chosen, "transitions", Transitions)
     predicates = [rule.signature for rule in vocabulary.predicates]
-    operators, literals, evidence = learn(transitions, vocabulary.types, predicates, params)
+    call = learn_call(chosen, vocabulary, params)
+
+    def work() -> StageOutput:
+        transitions = tables_of(store, chosen, "transitions", Transitions)
+        learned = learn(transitions, vocabulary.types, predicates, params)
+        schemas = (Operators, Literals, Evidence)
+        return StageOutput(tables=dict(zip(TABLES, zip(learned, schemas, strict=True), strict=True)))
+
+    record = store.run("learn", *call, work)
+    operators = store.get(record.outputs["operators"], Operators)
+    literals = store.get(record.outputs["literals"], Literals)
+    evidence = store.get(record.outputs["evidence"], Evidence)
     domain = compose(operators, literals, vocabulary.types, predicates, name)
     text = render_domain(domain)
     version = store.domains.put(
@@ -61,9 +72,9 @@ def learn_domain(
             parent=None,
             dataset=dataset,
             episodes=[state.episode_id for state in chosen],
-            snapshot=content_hash(*(f"{s.episode_id}={s.tables['transitions']}" for s in chosen)),
+            snapshot=call[0]["transitions"],
             params=canonical_json(asdict(params)),
-            code_version=code_version("demoplan.stages.learn", "demoplan.stages.compose"),
+            code_version=call[2],
             n_operators=len(domain.operators),
             tables={},
         ),
@@ -79,6 +90,23 @@ def learn_domain(
         operators=operators,
         literals=literals,
         evidence=evidence,
+    )
+
+
+def learn_call(
+    states: Sequence[EpisodeState], vocabulary: Vocabulary, params: LearnParams = LearnParams()
+) -> tuple[dict[str, str], str, str]:
+    """Inputs, parameters and code version that name what learning from these episodes gives."""
+    ordered = sorted(states, key=lambda state: state.episode_id)
+    settings = {
+        "params": asdict(params),
+        "types": vocabulary.types.parents,
+        "predicates": [asdict(rule.signature) for rule in vocabulary.predicates],
+    }
+    return (
+        {"transitions": content_hash(*(f"{s.episode_id}={s.tables['transitions']}" for s in ordered))},
+        canonical_json(settings),
+        code_version("demoplan.stages.learn", "demoplan.stages.compose"),
     )
 
 

@@ -124,6 +124,8 @@ def run(
             return {state.episode_id: chosen for state in usable(states)}
         return segmenters_for(opened, store, states, segmenter)
 
+    is_file = Path(segmenter).is_file()
+    remember(opened, store, segmenter=str(Path(segmenter).resolve()) if is_file else segmenter)
     main = _work(opened, store, choose, n_workers, progress)
     scores, confusions = _score_activities(main, store)
     parts = [main]
@@ -141,6 +143,7 @@ def run(
         for tried in part.tried
     ]
     scores = _joined(scores, score_plans(trials, main.method))
+    store.snapshots.take(store.manifest.episodes(), f"run {opened.dataset.name}")
     path = store.root / "reports" / f"{opened.dataset.name}.html"
     write_bytes(path, _report(main, parts, store, scores, confusions).encode())
     return RunResult(

@@ -23,6 +23,8 @@ class EpisodeState:
     """Stage → key of the record that gave it."""
     status: str = "complete"
     reason: str | None = None
+    attempt: str | None = None
+    """Key of the stage run that failed, if one did: it would fail again. It names no record."""
 
 
 class Manifest:

@@ -48,9 +48,10 @@ class Store:
 
     def is_current(self, stage: str, inputs: Mapping[str, str], params: str, code_version: str) -> bool:
         """Whether the stage's output for these inputs, parameters and code is there."""
-        return self._find(stage, inputs, params, code_version) is not None
+        return self.find(stage, inputs, params, code_version) is not None
 
-    def _find(self, stage: str, inputs: Mapping[str, str], params: str, code_version: str) -> Record | None:
+    def find(self, stage: str, inputs: Mapping[str, str], params: str, code_version: str) -> Record | None:
+        """The record of a stage for these inputs, parameters and code, if all that it names is there."""
         key = stage_key(stage, dict(inputs), params, code_version)
         record = self.records.get(stage, key)
         if record is None or not all(self.objects.has(ContentHash(c)) for c in record.outputs.values()):
@@ -74,7 +75,7 @@ class Store:
             code_version: Hash of the code behind the function.
             function: What gives the output. It is called only if the output is not there.
         """
-        found = self._find(stage, inputs, params, code_version)
+        found = self.find(stage, inputs, params, code_version)
         if found is not None:
             return found
         start = time.perf_counter()
