@@ -1,6 +1,7 @@
 """Simulated tracking of hands and objects: noise, lost readings, times of not seeing, latency."""
 
-from dataclasses import dataclass
+from bisect import bisect_right
+from dataclasses import dataclass, replace
 
 import numpy as np
 import polars as pl
@@ -22,6 +23,16 @@ class Belief:
     position_xyz_m: Array
     orientation_wxyz: Array
     age_ns: int
+
+
+@dataclass(frozen=True)
+class _Faults:
+    """What is wrong with seeing, per entity; replaced as a whole when it changes."""
+
+    blind_until_ns: NDArray[np.int64]
+    biased_until_ns: NDArray[np.int64]
+    bias_xyz_m: Array
+    is_removed: NDArray[np.bool_]
 
 
 class Sensors:
@@ -49,16 +60,18 @@ class Sensors:
         self._moving = np.array([name not in fixed for name in entities])
         self._is_object = np.array([name not in fixed and name not in hands for name in entities])
         self._params = params
-        self._rng = rng
         k = len(entities)
-        self._blind_until_ns = np.zeros(k, dtype=np.int64)
-        self._biased_until_ns = np.zeros(k, dtype=np.int64)
-        self._bias_xyz_m = np.zeros((k, 3))
-        self._removed = np.zeros(k, dtype=bool)
+        # Each kind of chance has a stream of its own, so that when readings are worked out does not matter.
+        self._noise_rng, self._chance_rng = rng.spawn(2)
+        self._faults = _Faults(
+            np.zeros(k, np.int64), np.zeros(k, np.int64), np.zeros((k, 3)), np.zeros(k, bool)
+        )
+        self._unseen_until_ns = np.zeros(k, dtype=np.int64)
+        self._unseen_before_ns = np.zeros(k, dtype=np.int64)
         self._ticks: list[int] = []
         self._true: tuple[list[Array], list[Array], list[Array]] = ([], [], [])
         self._seen: tuple[list[Array], list[Array], list[Array]] = ([], [], [])
-        self._presence: list[NDArray[np.bool_]] = []
+        self._faults_at: list[_Faults] = []
         self._latency_ns = round(params.latency_s * 1e9)
         self._staleness_ns = round(params.staleness_s * 1e9)
         self._loss_probability = params.dropouts_per_minute / 60.0 / params.rate_hz
@@ -66,21 +79,21 @@ class Sensors:
     def bias(self, entity: str, offset_xyz_m: Array, until_ns: int) -> None:
         """See one entity beside where it is, until then."""
         row = self.entities.index(entity)
-        self._bias_xyz_m[row] = offset_xyz_m
-        self._biased_until_ns[row] = until_ns
+        until, offsets = self._faults.biased_until_ns.copy(), self._faults.bias_xyz_m.copy()
+        until[row], offsets[row] = until_ns, offset_xyz_m
+        self._faults = replace(self._faults, biased_until_ns=until, bias_xyz_m=offsets)
 
     def blind(self, entity: str, until_ns: int) -> None:
         """Do not see one entity until then."""
-        row = self.entities.index(entity)
-        self._blind_until_ns[row] = max(until_ns, self._blind_until_ns[row])
+        until = self._faults.blind_until_ns.copy()
+        until[self.entities.index(entity)] = until_ns
+        self._faults = replace(self._faults, blind_until_ns=until)
 
-    def remove(self, entity: str) -> None:
-        """Never see one entity again, unless it comes back."""
-        self._removed[self.entities.index(entity)] = True
-
-    def bring_back(self, entity: str) -> None:
-        """See a removed entity again."""
-        self._removed[self.entities.index(entity)] = False
+    def set_present(self, entity: str, is_present: bool) -> None:
+        """Whether an entity is there to be seen at all."""
+        removed = self._faults.is_removed.copy()
+        removed[self.entities.index(entity)] = not is_present
+        self._faults = replace(self._faults, is_removed=removed)
 
     def observe(self, tick_ns: int, position_xyz_m: Array, orientation_wxyz: Array, grip: Array) -> None:
         """Take one reading of everything.
@@ -91,39 +104,54 @@ class Sensors:
             orientation_wxyz: True orientations ``(k, 4)``.
             grip: True openings of the hands ``(h,)``.
         """
-        p, k = self._params, len(self.entities)
-        noise = self._rng.standard_normal((k, 6))
-        chance = self._rng.random((k, 2))
-        struck = self._is_object & (chance[:, 0] < self._loss_probability)
-        if struck.any():
-            low, high = p.dropout_s
-            for row in np.flatnonzero(struck):
-                self.blind(self.entities[row], tick_ns + round(1e9 * (low + (high - low) * chance[row, 1])))
-        lost = (chance[:, 1] < p.drop_probability) | (tick_ns < self._blind_until_ns) | self._removed
-        lost &= self._moving
-        seen = position_xyz_m + np.where(self._moving[:, None], p.position_noise_m * noise[:, :3], 0.0)
-        biased = tick_ns < self._biased_until_ns
-        if biased.any():
-            seen = seen + np.where(biased[:, None], self._bias_xyz_m, 0.0)
-        small = np.concatenate([np.ones((k, 1)), 0.5 * p.orientation_noise_rad * noise[:, 3:]], axis=1)
-        turned = np.where(
-            self._moving[:, None], multiply(orientation_wxyz, normalised(small)), orientation_wxyz
-        )
-        seen[lost] = np.nan
-        turned[lost] = np.nan
-        read = np.clip(grip + p.grip_noise * self._rng.standard_normal(len(grip)), 0.0, 1.0)
         self._ticks.append(tick_ns)
         for log, values in zip(self._true, (position_xyz_m, orientation_wxyz, grip), strict=True):
             log.append(values)
+        self._faults_at.append(self._faults)
+
+    def _work_out(self) -> None:
+        """Turn what was observed since the last time into what was seen: all ticks at once."""
+        begin, end = len(self._seen[0]), len(self._ticks)
+        n, k, h = end - begin, len(self.entities), len(self._hands)
+        if not n:
+            return
+        p = self._params
+        noise = self._noise_rng.standard_normal((n, 6 * k + h))
+        chance = self._chance_rng.random((n, k, 2))
+        ticks = np.array(self._ticks[begin:end])
+        faults = self._faults_at[begin:end]
+        position, orientation, grip = (np.array(log[begin:end]) for log in self._true)
+        lost = chance[..., 1] < p.drop_probability
+        low, high = p.dropout_s
+        for at, row in np.argwhere(self._is_object & (chance[..., 0] < self._loss_probability)):
+            lasts = low + (high - low) * chance[at, row, 1]
+            lost[:, row] |= (ticks >= ticks[at]) & (ticks < ticks[at] + 1e9 * lasts)
+            self._unseen_until_ns[row] = max(self._unseen_until_ns[row], ticks[at] + round(1e9 * lasts))
+        lost |= (ticks[:, None] < self._unseen_before_ns) & self._is_object
+        self._unseen_before_ns = self._unseen_until_ns.copy()
+        lost |= ticks[:, None] < np.array([each.blind_until_ns for each in faults])
+        lost |= np.array([each.is_removed for each in faults])
+        lost &= self._moving
+        is_biased = ticks[:, None] < np.array([each.biased_until_ns for each in faults])
+        bias = np.array([each.bias_xyz_m for each in faults])
+        shakes = noise[:, : 6 * k].reshape(n, k, 6)
+        moving = self._moving[:, None]
+        seen = position + np.where(moving, p.position_noise_m * shakes[..., :3], 0.0)
+        seen += np.where(is_biased[..., None], bias, 0.0)
+        small = np.concatenate([np.ones((n, k, 1)), 0.5 * p.orientation_noise_rad * shakes[..., 3:]], axis=-1)
+        turned = np.where(moving, multiply(orientation, normalised(small)), orientation)
+        seen[lost] = np.nan
+        turned[lost] = np.nan
+        read = np.clip(grip + p.grip_noise * noise[:, 6 * k :], 0.0, 1.0)
         for log, values in zip(self._seen, (seen, turned, read), strict=True):
-            log.append(values)
-        self._presence.append(~self._removed)
+            log.extend(values)
 
     def believed(self, entity: str, now_ns: int, n_readings: int = 12) -> Belief | None:
         """Where an entity seems to be: the mean of the latest readings that agree with the last of them.
 
         None where it was not seen lately, which counts with latency.
         """
+        self._work_out()
         row = self.entities.index(entity)
         end = self._n_readable(now_ns)
         first = max(0, end - n_readings)
@@ -147,8 +175,9 @@ class Sensors:
 
         A lost reading is the last one before it, within the staleness limit, as ``align`` has it.
         """
+        self._work_out()
         end = self._n_readable(now_ns)
-        begin = int(np.searchsorted(self._ticks[:end], since_ns, side="right"))
+        begin = bisect_right(self._ticks, since_ns, hi=end)
         before = max(0, begin - round(self._params.staleness_s * self._params.rate_hz) - 1)
         if begin >= end:
             return _table((), np.zeros(0, np.int64), *_nothing())
@@ -176,11 +205,11 @@ class Sensors:
 
     def true_frames(self, since_ns: int) -> pl.DataFrame:
         """The same, as it truly was and without latency; what was removed has no pose."""
-        begin = int(np.searchsorted(self._ticks, since_ns, side="right"))
+        begin = bisect_right(self._ticks, since_ns)
         if begin >= len(self._ticks):
             return _table((), np.zeros(0, np.int64), *_nothing())
         position, orientation, grip = (np.array(log[begin:]) for log in self._true)
-        is_gone = ~np.array(self._presence[begin:])
+        is_gone = np.array([each.is_removed for each in self._faults_at[begin:]])
         position[is_gone] = np.nan
         orientation[is_gone] = np.nan
         ticks = np.array(self._ticks[begin:], dtype=np.int64)
@@ -194,7 +223,7 @@ class Sensors:
         return full
 
     def _n_readable(self, now_ns: int) -> int:
-        return int(np.searchsorted(self._ticks, now_ns - self._latency_ns, side="right"))
+        return bisect_right(self._ticks, now_ns - self._latency_ns)
 
 
 def _nothing() -> tuple[Array, Array, NDArray[np.int64], Array]:

@@ -296,13 +296,13 @@ class SimulatedSession:
             case ObjectMoved():
                 self._require_object(fault.object)
                 self._removed.discard(fault.object)
-                self._sensors.bring_back(fault.object)
+                self._sensors.set_present(fault.object, True)
                 self._place(fault.object, np.array(fault.position_xyz_m), np.array(fault.orientation_wxyz))
             case ObjectRemoved():
                 self._require_object(fault.object)
                 # Out of everybody's way, on nothing: it is held there by :meth:`_keep_removed`.
                 self._removed.add(fault.object)
-                self._sensors.remove(fault.object)
+                self._sensors.set_present(fault.object, False)
                 self._keep_removed()
             case GripSlips():
                 self._control(fault.hand).arm.set_pads_friction(self.model, fault.friction)
