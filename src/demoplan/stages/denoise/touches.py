@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from demoplan.errors import DataError
 from demoplan.language.atoms import Atom
 from demoplan.language.traces import TraceSet
 from demoplan.language.traces.values import Codes, Signatures
@@ -74,8 +75,8 @@ class GroundCodes:
         self.width = max((len(each.argument_types) for each in traces.signatures.predicates), default=0)
         if len(traces.signatures.predicates) * self.base**self.width >= 2**62:
             raise DataError(
-                f"{self.base - 1} objects in predicates of {self.width} arguments are more than can be coded; "
-                "give the objects of different traces the same names, or learn from fewer traces at a time"
+                f"{self.base - 1} objects in predicates of {self.width} arguments do not fit into codes; "
+                "give objects of different traces the same names, or learn from fewer traces at a time"
             )
 
     def of(self, predicate: Codes | int, columns: list[Codes], n: int) -> Codes:
