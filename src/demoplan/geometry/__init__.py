@@ -9,6 +9,7 @@ whatever is computed from it is not a number either.
 from demoplan.geometry.motion import speeds, velocities
 from demoplan.geometry.rotations import (
     Array,
+    are_known,
     compose,
     conjugate,
     continuous,
@@ -35,6 +36,7 @@ __all__ = [
     "Bools",
     "Codes",
     "Solid",
+    "are_known",
     "compose",
     "conjugate",
     "continuous",

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.ndimage import correlate1d
 
-from demoplan.geometry.rotations import Array
+from demoplan.geometry.rotations import Array, are_known
 from demoplan.geometry.switching import Bools
 
 
@@ -30,7 +30,7 @@ def velocities(positions_xyz_m: Array, tick_s: float, window_s: float) -> Array:
     offsets: Array = np.arange(-half, half + 1, dtype=np.float64)
     squares: Array = np.asarray(offsets**2, dtype=np.float64)
     ones: Array = np.ones(len(offsets))
-    is_seen: Bools = np.asarray(np.isfinite(positions_xyz_m).all(axis=-1, keepdims=True))
+    is_seen: Bools = are_known(positions_xyz_m)[..., None]
     # Far from the origin the sums would cancel: fit about the middle of what was seen.
     filled: Array = np.where(is_seen, positions_xyz_m, 0.0)
     n_seen: Array = is_seen.sum(axis=-2, keepdims=True).astype(np.float64)

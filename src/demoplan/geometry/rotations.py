@@ -12,9 +12,15 @@ from numpy.typing import NDArray
 Array: TypeAlias = NDArray[np.float64]
 
 
+def are_known(rows: Array) -> NDArray[np.bool_]:
+    """Whether all entries of each row ``(..., k)`` are numbers ``(...)``: one pass, by their sums."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        return np.asarray(np.isfinite(np.einsum("...i->...", rows)))
+
+
 def normalised(quaternions_wxyz: Array) -> Array:
     """Unit quaternions ``(n, 4)``; rows whose norm is zero or not finite become NaN."""
-    norms = np.linalg.norm(quaternions_wxyz, axis=-1, keepdims=True)
+    norms = np.sqrt(np.einsum("...i,...i->...", quaternions_wxyz, quaternions_wxyz))[..., None]
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.where(norms > 0, quaternions_wxyz / norms, np.nan)
 
@@ -53,7 +59,7 @@ def slerp(start_wxyz: Array, end_wxyz: Array, fraction: Array) -> Array:
     Source: K. Shoemake, "Animating rotation with quaternion curves", SIGGRAPH 1985,
     doi:10.1145/325334.325242, section 3.3.
     """
-    dots = np.sum(start_wxyz * end_wxyz, axis=-1, keepdims=True)
+    dots = np.einsum("ni,ni->n", start_wxyz, end_wxyz)[:, None]
     end_wxyz = np.where(dots < 0, -end_wxyz, end_wxyz)
     angle = np.arccos(np.clip(np.abs(dots), 0.0, 1.0))
     sine = np.sin(angle)
@@ -71,11 +77,11 @@ def continuous(quaternions_wxyz: Array) -> Array:
     A quaternion and its negative are one orientation; without this, averaging or differencing neighbours
     would see a jump. The first row keeps its sign. NaN rows are passed over.
     """
-    is_seen = np.isfinite(quaternions_wxyz).all(axis=-1)
-    seen = quaternions_wxyz[is_seen]
-    if len(seen) < 2:
+    is_seen = are_known(quaternions_wxyz)
+    seen = quaternions_wxyz if is_seen.all() else quaternions_wxyz[is_seen]
+    turns = np.einsum("ni,ni->n", seen[1:], seen[:-1]) < 0
+    if not turns.any():
         return quaternions_wxyz
-    turns = np.sum(seen[1:] * seen[:-1], axis=-1) < 0
     signs = np.where(np.cumsum(turns) % 2 == 1, -1.0, 1.0)
     result = quaternions_wxyz.copy()
     result[is_seen] = np.concatenate((seen[:1], seen[1:] * signs[:, None]))

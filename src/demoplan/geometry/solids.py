@@ -10,7 +10,8 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from demoplan.geometry.rotations import Array, matrices, normalised, rotate
+from demoplan.geometry.rotations import Array, are_known, matrices, normalised, rotate
+from demoplan.geometry.switching import Bools
 
 SOLID_KINDS = ("box", "cylinder", "point", "sphere")
 
@@ -58,8 +59,10 @@ class Solid:
                 tells no orientation, count as not rotated.
         """
         identity = np.array([1.0, 0.0, 0.0, 0.0])
-        is_turned = np.isfinite(orientations_wxyz).all(axis=-1, keepdims=True)
-        turned = normalised(np.where(is_turned, orientations_wxyz, identity))
+        is_turned = are_known(orientations_wxyz)[..., None]
+        turned = normalised(
+            orientations_wxyz if is_turned.all() else np.where(is_turned, orientations_wxyz, identity)
+        )
         middle = positions_xyz_m
         if np.any(centre_xyz_m):
             middle = positions_xyz_m + rotate(turned, np.broadcast_to(centre_xyz_m, positions_xyz_m.shape))
@@ -227,40 +230,95 @@ def _point_to(solid: Solid, points_xyz_m: Array) -> Array:
 
 
 def _box_to_box(a: Solid, b: Solid, exact_below_m: float) -> Array:
-    """Largest gap over the separating axes, and over the line from the nearest corner where that may win."""
+    """Largest gap over the separating axes, and over the line from the nearest corner where that may win.
+
+    Where the gap is largest along the normal of a face, and the other box's corner nearest to that face lies
+    over it, the corner's height is the distance: no other direction has to be tried. So it is of bodies that
+    rest on each other, nearly always.
+    """
     axes_a = [[a.rotation[:, row, i] for row in range(3)] for i in range(3)]
     axes_b = [[b.rotation[:, row, j] for row in range(3)] for j in range(3)]
     turn = [[_sum(u[0] * v[0], u[1] * v[1], u[2] * v[2]) for v in axes_b] for u in axes_a]
-    spread = [[np.abs(entry) for entry in row] for row in turn]
     away = [b.position_xyz_m[:, row] - a.position_xyz_m[:, row] for row in range(3)]
-    apart = [_sum(u[0] * away[0], u[1] * away[1], u[2] * away[2]) for u in axes_a]
-    half_a, half_b = a.half_xyz_m, b.half_xyz_m
-    largest: Array = np.full(len(a.position_xyz_m), -np.inf)
+    apart_a = [_sum(u[0] * away[0], u[1] * away[1], u[2] * away[2]) for u in axes_a]
+    apart_b = [_sum(v[0] * away[0], v[1] * away[1], v[2] * away[2]) for v in axes_b]
+    largest, is_settled = _gap_of_faces(turn, apart_a, a.half_xyz_m, b.half_xyz_m)
+    back = [[turn[i][j] for i in range(3)] for j in range(3)]
+    other, is_other_settled = _gap_of_faces(back, [-apart for apart in apart_b], b.half_xyz_m, a.half_xyz_m)
+    is_settled = np.where(other > largest, is_other_settled, is_settled)
+    largest = np.maximum(largest, other)
+    rows = np.flatnonzero((largest < exact_below_m) & ~is_settled)
+    if len(rows):
+        largest[rows] = np.maximum(
+            largest[rows],
+            _gap_of_edges(
+                [[entry[rows] for entry in row] for row in turn],
+                [entry[rows] for entry in apart_a],
+                a.half_xyz_m,
+                b.half_xyz_m,
+            ),
+        )
+        rows = rows[(largest[rows] > 0.0) & (largest[rows] < exact_below_m)]
+    if len(rows):
+        some_a, some_b = a.take(rows), b.take(rows)
+        largest[rows] = np.maximum(
+            largest[rows],
+            np.maximum(_gap_from_corner(some_a, some_b), _gap_from_corner(some_b, some_a)),
+        )
+    return largest
+
+
+def _gap_of_faces(
+    turn: list[list[Array]], apart: list[Array], half: Array, other: Array
+) -> tuple[Array, Bools]:
+    """Largest gap along the normals of one box's faces, and whether a corner of the other lies over the face.
+
+    Args:
+        turn: Cosines between the box's axes (outer) and the other's (inner).
+        apart: The other's middle, in the box's axes.
+        half: Half extents of the box.
+        other: Half extents of the other.
+    """
+    gaps = []
     for i in range(3):
-        reach = _sum(half_b[0] * spread[i][0], half_b[1] * spread[i][1], half_b[2] * spread[i][2])
-        np.maximum(largest, np.abs(apart[i]) - half_a[i] - reach, out=largest)
-    for j in range(3):
-        along = np.abs(_sum(turn[0][j] * apart[0], turn[1][j] * apart[1], turn[2][j] * apart[2]))
-        reach = _sum(half_a[0] * spread[0][j], half_a[1] * spread[1][j], half_a[2] * spread[2][j])
-        np.maximum(largest, along - half_b[j] - reach, out=largest)
+        reach = _sum(
+            other[0] * np.abs(turn[i][0]), other[1] * np.abs(turn[i][1]), other[2] * np.abs(turn[i][2])
+        )
+        gaps.append(np.abs(apart[i]) - half[i] - reach)
+    largest = np.maximum(np.maximum(gaps[0], gaps[1]), gaps[2])
+    is_settled = np.zeros(len(largest), np.bool_)
+    for i in range(3):
+        rows = np.flatnonzero((gaps[i] == largest) & (largest > -half[i]))
+        if not len(rows):
+            continue
+        every = len(rows) == len(largest)
+        side = np.sign(apart[i] if every else apart[i][rows])
+        corner = [side * other[j] * np.sign(turn[i][j] if every else turn[i][j][rows]) for j in range(3)]
+        is_over = np.ones(len(rows), np.bool_)
+        for k in ((i + 1) % 3, (i + 2) % 3):
+            along, cosines = apart[k], turn[k]
+            if not every:
+                along, cosines = along[rows], [cosine[rows] for cosine in cosines]
+            place = along - _sum(corner[0] * cosines[0], corner[1] * cosines[1], corner[2] * cosines[2])
+            is_over &= np.abs(place) <= half[k]
+        is_settled[rows] = is_over
+    return largest, is_settled
+
+
+def _gap_of_edges(turn: list[list[Array]], apart: list[Array], half_a: Array, half_b: Array) -> Array:
+    """Largest gap of two boxes along the cross products of their edges; parallel edges show nothing new."""
+    spread = [[np.abs(entry) for entry in row] for row in turn]
+    largest: Array = np.full(len(apart[0]), -np.inf)
     for i in range(3):
         i1, i2 = (i + 1) % 3, (i + 2) % 3
         for j in range(3):
             j1, j2 = (j + 1) % 3, (j + 2) % 3
-            # The cross product of edge i of a and edge j of b; parallel edges show nothing new.
             squared = 1.0 - turn[i][j] ** 2
             gap = np.abs(apart[i2] * turn[i1][j] - apart[i1] * turn[i2][j])
             gap -= half_a[i1] * spread[i2][j] + half_a[i2] * spread[i1][j]
             gap -= half_b[j1] * spread[i][j2] + half_b[j2] * spread[i][j1]
             gap /= np.sqrt(np.maximum(squared, 1e-12))
             np.maximum(largest, np.where(squared > 1e-12, gap, -np.inf), out=largest)
-    open_rows = np.flatnonzero((largest > 0.0) & (largest < exact_below_m))
-    if len(open_rows):
-        some_a, some_b = a.take(open_rows), b.take(open_rows)
-        largest[open_rows] = np.maximum(
-            largest[open_rows],
-            np.maximum(_gap_from_corner(some_a, some_b), _gap_from_corner(some_b, some_a)),
-        )
     return largest
 
 

@@ -212,6 +212,9 @@ class McapFile:
         if (heads["op"] != _MESSAGE).any():
             return None
         nexts = np.append(starts[1:], len(buffer))
+        # A length that is too large for a signed number would lead back before the buffer.
+        if (ends < starts + _MESSAGE_HEAD.itemsize).any() or (ends > nexts).any():
+            return None
         is_gap = ends != nexts
         gaps = [(0, int(starts[0])), *zip(ends[is_gap].tolist(), nexts[is_gap].tolist(), strict=True)]
         declarations = []

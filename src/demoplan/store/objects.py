@@ -1,6 +1,5 @@
 """Tables as Parquet, named by the hash of their bytes."""
 
-import contextlib
 import functools
 import hashlib
 from pathlib import Path
@@ -71,9 +70,6 @@ class ObjectStore:
         written = found.get(b"demoplan.table_format", b"?").decode()
         if written != TABLE_FORMAT:
             raise StoreError(f"{path}: written in table format {written}; this version reads {TABLE_FORMAT}")
-        # If a column cannot be cast, `validated` says which.
-        with contextlib.suppress(pl.exceptions.PolarsError, dy.exc.SchemaError):
-            table = schema.cast(table)
         return validated(table, schema)
 
     def is_intact(self, content: ContentHash) -> bool:

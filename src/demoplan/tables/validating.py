@@ -1,5 +1,6 @@
 """Tables held to their declarations, quickly where they keep them."""
 
+import contextlib
 import functools
 from typing import TypeVar
 
@@ -21,8 +22,17 @@ def validated(table: pl.DataFrame, schema: type[Table]) -> dy.DataFrame[Table]:
         dataframely.exc.ValidationError: If a rule does not hold.
         polars.exceptions.InvalidOperationError: If a column cannot be cast.
     """
-    if is_typed(table, schema) and all(table.select(_conditions(schema)).row(0)):
-        return table  # type: ignore[return-value]
+    typed = table
+    if not is_typed(table, schema):
+        # If a column is missing or cannot be cast, the slow way says which.
+        with contextlib.suppress(pl.exceptions.PolarsError, dy.exc.SchemaError):
+            typed = schema.cast(table)
+    if is_typed(typed, schema):
+        conditions, is_key_rising, is_key_unique = _conditions(schema)
+        if all(typed.select(conditions).row(0)) and (
+            typed.select(is_key_rising).item() or typed.select(is_key_unique).item()
+        ):
+            return typed  # type: ignore[return-value]
     return schema.validate(table, cast=True)
 
 
@@ -37,7 +47,19 @@ def _declared(schema: type[dy.Schema]) -> pl.Schema:
 
 
 @functools.cache
-def _conditions(schema: type[dy.Schema]) -> list[pl.Expr]:
-    """One expression per rule: whether it holds in every row; null, for want of a value, counts as yes."""
-    rules = schema._validation_rules(with_cast=False)
-    return [rule.expr.all(ignore_nulls=True).alias(name) for name, rule in rules.items()]
+def _conditions(schema: type[dy.Schema]) -> tuple[list[pl.Expr], pl.Expr, pl.Expr]:
+    """One expression per rule: whether it holds in every row; null, for want of a value, counts as yes.
+
+    The primary key stands apart, in two forms: whether its values rise from row to row, which is quickly seen
+    of a table in its own order, and whether they are unique.
+    """
+    rules = dict(schema._validation_rules(with_cast=False))
+    unique = rules.pop("primary_key").expr.all() if "primary_key" in rules else pl.lit(True)
+    declared, key = _declared(schema), schema.primary_key()
+    rises = pl.lit(False)
+    if not any(declared[name].is_nested() for name in key):
+        for name in reversed(key):
+            here, before = pl.col(name), pl.col(name).shift()
+            rises = (here > before) | ((here == before) & rises)
+    conditions = [rule.expr.all(ignore_nulls=True).alias(name) for name, rule in rules.items()]
+    return conditions or [pl.lit(True)], rises.all(ignore_nulls=True), unique

@@ -9,7 +9,7 @@ import polars as pl
 from numpy.typing import NDArray
 
 from demoplan.errors import DataError, UnknownNameError
-from demoplan.geometry import Array, Bools, Solid, nearest_points, surface_distances, velocities
+from demoplan.geometry import Array, Bools, Solid, are_known, nearest_points, surface_distances, velocities
 from demoplan.language.vocabulary import Shape, Vocabulary
 from demoplan.manifests.mapping import Entity
 
@@ -44,7 +44,7 @@ class Bodies:
     @cached_property
     def is_seen(self) -> Bools:
         """Whether the pose is known ``(e, n)``."""
-        return np.asarray(np.isfinite(self.position_xyz_m).all(axis=-1))
+        return are_known(self.position_xyz_m)
 
     def velocity(self, bodies: Sequence[int]) -> Array:
         """Velocities of tracked origins [m/s] ``(k, n, 3)``; NaN where the pose is not known."""
@@ -59,15 +59,20 @@ class Bodies:
         """Speeds of tracked origins [m/s] ``(k, n)``; NaN where the pose is not known."""
         return np.asarray(np.linalg.norm(self.velocity(bodies), axis=-1))
 
-    def closing_speed(self, one: int, other: int) -> Array:
-        """Speed [m/s] ``(n,)`` at which a body itself moves towards the nearest point of another.
+    def closing_speed(self, one: int, other: int, ticks: NDArray[np.intp]) -> Array:
+        """Speed [m/s] ``(k,)`` at which a body itself moves towards the nearest point of another, at k ticks.
 
         Whether the other moves does not count; 0 while the middle of the one is within the other.
         """
+        is_every = len(ticks) == len(self.tick_ns)
         middle = self.solids[one].position_xyz_m
-        way = nearest_points(self.solids[other], middle) - middle
+        middle = middle if is_every else middle[ticks]
+        way = (
+            nearest_points(self.solids[other] if is_every else self.solids[other].take(ticks), middle)
+            - middle
+        )
         length = np.linalg.norm(way, axis=-1)
-        along = np.einsum("ni,ni->n", self.velocity([one])[0], way)
+        along = np.einsum("ni,ni->n", self.velocity([one])[0][ticks], way)
         return np.where(
             length > 1e-9, along / np.maximum(length, 1e-9), np.where(np.isnan(length), np.nan, 0.0)
         )

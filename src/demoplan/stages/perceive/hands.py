@@ -14,6 +14,9 @@ from demoplan.stages.perceive.evidence import (
     stacked,
 )
 
+_SLACK = 1.5
+"""Distances are asked for exactly up to this multiple of the threshold."""
+
 
 def hand_open(bodies: Bodies, groundings: Groundings, numbers: Numbers, _: dict[str, Known]) -> Evidence:
     """The grip of h is open by at least ``enter_fraction``; it ends below ``exit_fraction``.
@@ -85,8 +88,12 @@ def approached(bodies: Bodies, groundings: Groundings, numbers: Numbers, known: 
         rows_of.setdefault(hand, []).append(row)
     for hand, rows in rows_of.items():
         targets = [groundings[row][1] for row in rows]
-        distance = np.stack([bodies.distance(hand, target) for target in targets])
-        closing = np.stack([bodies.closing_speed(hand, target) for target in targets])
+        reach_m = max(numbers["enter_m"], numbers["exit_m"])
+        distance = np.stack([bodies.distance(hand, target, reach_m * _SLACK) for target in targets])
+        closing = np.zeros_like(distance)
+        for row, target in enumerate(targets):
+            near = np.flatnonzero(distance[row] <= reach_m)
+            closing[row, near] = bodies.closing_speed(hand, target, near)
         is_held = np.stack([known["held"].state(hand, target) == TRUE for target in targets])
         speed = bodies.speed([hand])[0]
         least = np.maximum(numbers["approach_m_per_s"], numbers["heading_ratio"] * speed)
@@ -99,7 +106,7 @@ def approached(bodies: Bodies, groundings: Groundings, numbers: Numbers, known: 
         goes_on = (distance <= numbers["exit_m"]) & (closing > -numbers["recede_m_per_s"]) & is_there
         enters[rows] = begins
         stays[rows] = goes_on & ~is_held & ~(begins.any(axis=0) & ~begins)
-        observed[rows] = np.isfinite(distance) & np.isfinite(closing)
+        observed[rows] = np.isfinite(distance) & np.isfinite(speed)
     return Evidence(enters, stays, observed)
 
 

@@ -14,6 +14,7 @@ from demoplan.stages.perceive.bodies import Bodies, bodies_of
 from demoplan.stages.perceive.evidence import FALSE, TRUE, Known, settled
 from demoplan.stages.perceive.registry import DEFINITIONS, check_definitions
 from demoplan.tables import Facts, Frames
+from demoplan.tables.episodewise import by_episode
 from demoplan.tables.validating import validated
 
 
@@ -56,10 +57,7 @@ def perceive(
         DataError: If a predicate does not fit its definition, or the frames are not a full grid.
     """
     rules = check_definitions(vocabulary)
-    parts = [
-        _episode(rows, entities, vocabulary, rules, params)
-        for _, rows in sorted(frames.partition_by("episode_id", as_dict=True).items())
-    ]
+    parts = [_episode(rows, entities, vocabulary, rules, params) for _, rows in by_episode(frames)]
     facts = pl.concat(parts) if parts else Facts.create_empty()
     return validated(facts, Facts)
 

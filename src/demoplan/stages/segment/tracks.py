@@ -17,6 +17,7 @@ from demoplan.errors import DataError
 from demoplan.geometry import Array, hysteresis, normalised, speeds
 from demoplan.language.types import TypeHierarchy
 from demoplan.tables import Facts, Frames
+from demoplan.tables.episodewise import by_episode
 
 Mask = NDArray[np.bool_]
 
@@ -107,10 +108,11 @@ def tracks_of(
     facts_of = {key[0]: group for key, group in read.group_by("episode_id")}
     nothing = facts.clear()
     found = []
-    for (episode_id,), group in frames.sort("episode_id", "entity", "tick_ns").group_by(
-        "episode_id", maintain_order=True
-    ):
-        found.append(_tracks(str(episode_id), group, facts_of.get(episode_id, nothing), roles, params))
+    for episode_id, group in by_episode(frames):
+        # Frames come in this order; sorting them again would copy them.
+        is_rising = (pl.col("tick_ns").diff() > 0) | (pl.col("entity") > pl.col("entity").shift())
+        ordered = group if group.select(is_rising.all()).item() else group.sort("entity", "tick_ns")
+        found.append(_tracks(episode_id, ordered, facts_of.get(episode_id, nothing), roles, params))
     return tuple(found)
 
 
