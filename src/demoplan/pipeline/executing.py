@@ -8,10 +8,11 @@ import numpy as np
 
 from demoplan.engines.fast_downward import SolveParams
 from demoplan.engines.mujoco.session import Motion, MotionReport, Session
+from demoplan.engines.mujoco.skills import SkillTable, motion_of, read_skills
 from demoplan.errors import UnknownNameError
 from demoplan.language.atoms import Atom, Literal
 from demoplan.language.dispatch import DispatchGraph, dispatch_graph
-from demoplan.language.domains import Domain
+from demoplan.language.domains import Domain, Operator, Plan
 from demoplan.language.execution import GroundOperator
 from demoplan.language.goals import parse_goal
 from demoplan.language.momentary import Momentary
@@ -27,7 +28,6 @@ from demoplan.pipeline.faults import (
 )
 from demoplan.pipeline.replanning import amended, emptied_hands, lifted_text, plan_from
 from demoplan.pipeline.senses import TABLE, Misreading, SenseParams, Senses
-from demoplan.pipeline.skills import SKILLS, Bound, Roles, bind, motion_of
 from demoplan.stages.diagnose import Case, DiagnoseParams, Diagnosis, diagnose
 from demoplan.stages.monitor import (
     Deviation,
@@ -48,9 +48,12 @@ class ExecuteParams:
     monitor: str = "full"
     """``full``: conditions before, effects after, and the rest of the plan; ``preconditions``: only the
     first, as ROSPlan does; ``none``: open loop."""
-    skills: Mapping[str, str] = field(default_factory=lambda: dict(SKILLS))
-    """Activity → skill."""
-    roles: Roles = Roles()
+    skills: SkillTable = field(default_factory=read_skills)
+    """Activity → skill, and who plays which part in it."""
+    holding: str = "inHand"
+    """Predicate (hand, object): the hand holds the object."""
+    resting: str = "onTop"
+    """Predicate (object, support)."""
     momentary: Momentary = Momentary()
     """Predicates that describe a motion in progress: they are planned with, and not demanded of the world."""
     ends_with: tuple[str, ...] = ("handOpen",)
@@ -95,6 +98,15 @@ class _End(Exception):  # noqa: N818
         self.ended = Ended(outcome, reason)
 
 
+@dataclass(frozen=True)
+class Bound:
+    """A step's operator, and which hand makes which motion to carry it out."""
+
+    operator: Operator
+    hand: str
+    motion: Motion
+
+
 @dataclass
 class _Running:
     """A step that is being carried out."""
@@ -128,9 +140,12 @@ class Executor:
         self.goal = parse_goal(goal, domain.predicates, self.senses.type_of, domain.types)
         self.full_goal = emptied_hands(self.goal, session.hands, params.ends_with, domain)
         for operator in domain.operators:
-            if operator.activity not in params.skills:
+            if operator.activity not in params.skills.activities:
                 raise UnknownNameError(
-                    "skill for activity", operator.activity, params.skills, "the table of skills"
+                    "skill for activity",
+                    operator.activity,
+                    params.skills.activities,
+                    f"skills table {params.skills.name!r}",
                 )
         self.fault = fault
         self.is_fault_injected = isinstance(fault, WrongLiteralFault)
@@ -152,6 +167,10 @@ class Executor:
         self._lasting: tuple[GroundOperator, ...] = ()
         self._planned_with = self.domain
         self._ended: set[int] = set()
+        self._refusal = ""
+        """Why the plan's remaining steps, which are left out, could not happen."""
+        self._let_go: str | None = None
+        """A hand that believes to hold what perception sees elsewhere."""
 
     # --- the run -------------------------------------------------------------------------------------------
 
@@ -168,6 +187,9 @@ class Executor:
                 except _Replan:
                     self._stop_hands()
                     self._close_rows()
+                    if self._let_go is not None:
+                        self._recover(self._let_go, Motion(activity="Release", skill="release"))
+                        self._let_go = None
         except _End as end:
             self._stop_hands()
             self._close_rows()
@@ -185,21 +207,25 @@ class Executor:
             self.senses,
             self.params.momentary,
             self.params.solving,
+            self.params.skills,
             is_first=self.n_plans == 0,
             gone=frozenset(self._gone),
         )
         self.n_plans += 1
-        if planned.outcome == "refuted":
-            if self.params.monitor == "full":
-                self._name("operator_model")
+        plan, self._refusal = planned.plan, ""
+        if planned.n_possible is not None and self.params.monitor == "full":
+            # What the plan does before it asks for the impossible may show what is wrong with the operators.
+            self._name("operator_model")
+            if not planned.n_possible:
                 raise _End("no_plan", planned.reason)
-        elif planned.plan is None:
+            assert plan is not None
+            plan, self._refusal = Plan(plan.steps[: planned.n_possible], plan.cost), planned.reason
+        if plan is None:
             if planned.outcome == "no_plan" and self._free_a_hand(sensed):
                 return False
             raise _End(planned.outcome, planned.reason)
-        assert planned.plan is not None
         self._planned_with = planned.domain
-        self._graph = dispatch_graph(planned.domain, planned.plan, self.session.hands)
+        self._graph = dispatch_graph(planned.domain, plan, self.session.hands)
         self._lasting = tuple(
             self.params.momentary.lasting_step(step, self.senses.type_of, planned.domain.types)
             for step in self._graph.steps
@@ -214,7 +240,7 @@ class Executor:
             started = {running.index for running in self._running.values()}
             for index in self._graph.ready(self._ended, started):
                 bound = self._bound(index)
-                if bound.hand is None or bound.hand not in self._running:
+                if bound.hand not in self._running:
                     self._begin(index, bound)
             if not self._running:
                 continue
@@ -231,6 +257,8 @@ class Executor:
 
     def _finish(self) -> Ended:
         """All steps have ended: is the goal what is sensed?"""
+        if self._refusal:
+            raise _End("no_plan", self._refusal)
         if self.params.monitor == "full":
             lacking = rest_of_plan((), self.full_goal, self.senses.look())
             if lacking:
@@ -240,9 +268,10 @@ class Executor:
     # --- one step ------------------------------------------------------------------------------------------
 
     def _bound(self, index: int) -> Bound:
-        step = self._graph.steps[index]
-        operator = next(o for o in self._planned_with.operators if o.name == step.step.operator)
-        return bind(step, operator, self.senses.type_of, self._planned_with.types, self.params.roles)
+        step = self._graph.steps[index].step
+        operator = next(o for o in self._planned_with.operators if o.name == step.operator)
+        hand, motion = motion_of(step, self._planned_with, self.params.skills)
+        return Bound(operator, hand, motion)
 
     def _begin(self, index: int, bound: Bound) -> None:
         """Skip a step, find that it cannot begin, or start its motion."""
@@ -269,12 +298,8 @@ class Executor:
         self._n_started[bound.operator.activity] += 1
         self._arm_fault(bound)
         self.n_steps += 1
-        if bound.hand is None:
-            row |= {"state": "succeeded", "end_ns": self.session.time_ns}
-            self._ended.add(index)
-            return
         self._running[bound.hand] = running
-        self.session.start(bound.hand, motion_of(bound, self.params.skills))
+        self.session.start(bound.hand, bound.motion)
 
     def _end_step(self, hand: str, report: MotionReport | None) -> None:
         """A motion has ended: has it done what it should have?"""
@@ -348,7 +373,9 @@ class Executor:
             (*others, *since),
             waived=frozenset(undone),
         )
-        return replace(found, broken=self._rest(sensed, except_for=running.index))
+        # A plan that was cut short was never to reach the goal.
+        broken = () if self._refusal else self._rest(sensed, except_for=running.index)
+        return replace(found, broken=broken)
 
     def _lasting_state(self, sensed: SensedState) -> SensedState:
         types = self._planned_with.types
@@ -426,6 +453,8 @@ class Executor:
             better = amended(self.domain, step, deviation.missing, deviation.extra)
             self.domain = better or self.domain
         self._gone |= self._gone_objects()
+        if report is not None and report.problem == "still_holding" and running is not None:
+            self._let_go = running.bound.hand
         raise _Replan
 
     def _again(self, deviation: Deviation, running: _Running | None) -> Deviation:
@@ -464,8 +493,11 @@ class Executor:
             objects=tuple(name for name in self.senses.objects if name not in self._gone),
             hand=None if bound is None else bound.hand,
             activity=None if operator is None else operator.activity,
-            thing=None if bound is None else bound.thing,
-            support=None if bound is None else bound.support,
+            thing=None if bound is None else bound.motion.object,
+            support=None if bound is None else bound.motion.support,
+            was_held=running is not None
+            and bound is not None
+            and Atom(self.params.holding, (bound.hand, bound.motion.object or "")) in running.before.held,
             motion_state=None if report is None else report.state,
             motion_problem=None if report is None else report.problem,
             motion_reason=None if report is None else report.reason,
@@ -495,12 +527,11 @@ class Executor:
         Learned operators put things where they were shown to be put, and none begins with an object in the
         air or an empty fist. Laying down and opening are the robot's own ways out of that.
         """
-        roles = self.params.roles
         for hand in self.session.hands:
             held = sorted(
                 atom.arguments[1]
                 for atom in sensed.held
-                if atom.predicate == roles.holding and atom.arguments[0] == hand
+                if atom.predicate == self.params.holding and atom.arguments[0] == hand
             )
             is_open = all(Atom(name, (hand,)) in sensed.held for name in self.params.ends_with)
             if self._gone_and_held(held) or (not held and is_open):
@@ -508,26 +539,28 @@ class Executor:
             motions = [Motion(activity="Release", skill="release", object=held[0] if held else None)]
             if held:
                 motions.insert(0, Motion(activity="Put", skill="carry", object=held[0], support=TABLE))
-            else:
-                motions = [Motion(activity="Idle", skill="rest")]
             for motion in motions:
-                row = self._row(None, None) | {
-                    "operator": f"recover_{motion.skill}",
-                    "arguments": [hand, *([motion.object] if motion.object else [])],
-                    "hand": hand,
-                    "activity": motion.activity,
-                    "start_ns": self.session.time_ns,
-                }
-                self.rows[-1] = row
-                report = self._wait(hand, motion)
-                row |= {
-                    "state": "succeeded" if report.state == "succeeded" else "failed",
-                    "end_ns": self.session.time_ns,
-                    "cause": report.reason,
-                }
+                self._recover(hand, motion)
             self._advance(self.params.lag_s)
             return self.senses.look().held != sensed.held
         return False
+
+    def _recover(self, hand: str, motion: Motion) -> None:
+        """A motion of the robot's own, that no plan asked for; it is a row as any other."""
+        row = self._row(None, None)
+        row |= {
+            "operator": f"recover_{motion.skill}",
+            "arguments": [hand, *([motion.object] if motion.object else [])],
+            "hand": hand,
+            "activity": motion.activity,
+            "start_ns": self.session.time_ns,
+        }
+        report = self._wait(hand, motion)
+        row |= {
+            "state": "succeeded" if report.state == "succeeded" else "failed",
+            "end_ns": self.session.time_ns,
+            "cause": report.reason,
+        }
 
     @staticmethod
     def _gone_and_held(held: list[str]) -> bool:
@@ -587,14 +620,14 @@ class Executor:
     def _inject(self) -> None:
         self._due_ns = None
         bound, fault = self._due_bound, self.fault
-        if bound is None or fault is None or bound.hand is None:
+        if bound is None or fault is None:
             return
         event = world_fault(
             fault,
             self.session,
             hand=bound.hand,
-            thing=bound.thing,
-            support=bound.support,
+            thing=bound.motion.object,
+            support=bound.motion.support,
             planned=frozenset(name for step in self._graph.steps for name in step.step.arguments),
             rng=self._rng,
         )
@@ -684,7 +717,7 @@ class Executor:
         truth = self.senses.truth()
         return all(
             self.session.is_resting_on(*literal.atom.arguments) == literal.is_positive
-            if literal.atom.predicate == self.params.roles.resting
+            if literal.atom.predicate == self.params.resting
             else bool(truth.says(literal))
             for literal in self.goal
         )

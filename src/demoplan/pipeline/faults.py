@@ -307,8 +307,8 @@ def world_fault(
         edge = fault.size_m
         return PathBlocked(
             name=f"block-{fault.name}",
-            position_xyz_m=(float(middle[0]), float(middle[1]), edge),
-            size_xyz_m=(edge / 2, edge / 2, 2 * edge),
+            position_xyz_m=(float(middle[0]), float(middle[1]), 2 * edge),
+            size_xyz_m=(edge / 2, edge / 2, 4 * edge),
             duration_s=fault.duration_s,
             is_seen=fault.is_seen,
         )

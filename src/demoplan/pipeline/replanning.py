@@ -7,14 +7,14 @@ import numpy as np
 
 from demoplan.engines.fast_downward import Attempt, SolveParams, solve
 from demoplan.engines.mujoco.session import Session
+from demoplan.engines.mujoco.skills import SkillTable, motion_of
 from demoplan.errors import DemoplanError
 from demoplan.language.atoms import Atom, Literal
 from demoplan.language.domains import Domain, Operator, Plan, Problem
-from demoplan.language.execution import GroundOperator, ground
+from demoplan.language.execution import GroundOperator
 from demoplan.language.momentary import Momentary
 from demoplan.language.possibility import impossibility
 from demoplan.pipeline.senses import TABLE, Senses
-from demoplan.pipeline.skills import Roles, bind
 from demoplan.stages.ask import ask
 from demoplan.stages.monitor import SensedState
 
@@ -29,6 +29,8 @@ class Planned:
     outcome: str
     """``solved``, or an outcome of ``Runs``."""
     reason: str
+    n_possible: int | None = None
+    """How many of its steps could happen, if the laws of a tabletop forbid the one after them."""
 
 
 def plan_from(
@@ -38,6 +40,7 @@ def plan_from(
     senses: Senses,
     momentary: Momentary,
     params: SolveParams,
+    skills: SkillTable,
     *,
     is_first: bool,
     gone: frozenset[str],
@@ -52,6 +55,7 @@ def plan_from(
         momentary: Which predicates tell of motions in progress. Where the full domain has no plan from the
             middle of things, what lasts of it is planned with.
         params: Limits.
+        skills: What tells where the steps' objects go.
         is_first: Nothing has been done yet: the full domain must do.
         gone: Objects that are no longer there.
     """
@@ -78,7 +82,7 @@ def plan_from(
             return Planned(plan=None, domain=domain, outcome="no_plan", reason=str(error))
         answer = solve(rung, problem, params)
         if answer.plan is not None and answer.is_validated:
-            return _checked(answer.plan, rung, problem, senses)
+            return _checked(answer.plan, rung, problem, senses, skills)
         if answer.outcome != "unsolvable":
             break
     assert answer is not None
@@ -86,19 +90,34 @@ def plan_from(
     return Planned(plan=None, domain=domain, outcome=outcome, reason=f"{answer.outcome}: {answer.message}")
 
 
-def _checked(plan: Plan, domain: Domain, problem: Problem, senses: Senses) -> Planned:
+def _checked(plan: Plan, domain: Domain, problem: Problem, senses: Senses, skills: SkillTable) -> Planned:
     refuted = impossibility(problem, domain, plan)
     if refuted is not None:
-        return Planned(
-            plan=plan, domain=domain, outcome="refuted", reason=f"the plan could not happen: {refuted}"
+        anywhere = replace(problem, goal=frozenset())
+        n_possible = next(
+            n
+            for n in range(len(plan.steps) + 1)
+            if n == len(plan.steps) or _is_refuted(plan, n, anywhere, domain)
         )
-    reason = out_of_reach(plan, domain, senses)
+        return Planned(
+            plan=plan,
+            domain=domain,
+            outcome="solved",
+            reason=f"the plan could not happen: {refuted}",
+            n_possible=n_possible,
+        )
+    reason = out_of_reach(plan, domain, senses, skills)
     if reason is not None:
         return Planned(plan=None, domain=domain, outcome="out_of_reach", reason=reason)
     return Planned(plan=plan, domain=domain, outcome="solved", reason="")
 
 
-def out_of_reach(plan: Plan, domain: Domain, senses: Senses, roles: Roles = Roles()) -> str | None:
+def _is_refuted(plan: Plan, n: int, problem: Problem, domain: Domain) -> bool:
+    """Whether the step after the first ``n`` could not happen."""
+    return impossibility(problem, domain, Plan(plan.steps[: n + 1])) is not None
+
+
+def out_of_reach(plan: Plan, domain: Domain, senses: Senses, skills: SkillTable) -> str | None:
     """The first place of a plan that its hand cannot get to, before anything moves; None if there is none.
 
     Places are where objects are seen now, and where the plan's own steps put them: a tower grows by the
@@ -111,25 +130,22 @@ def out_of_reach(plan: Plan, domain: Domain, senses: Senses, roles: Roles = Role
         seen = senses.position(name)
         if seen is not None:
             places[name] = seen
-    operators = {operator.name: operator for operator in domain.operators}
     told: set[tuple[str, str, tuple[float, ...]]] = set()
     for number, step in enumerate(plan.steps, 1):
-        operator = operators[step.operator]
-        grounded = ground(operator, step)
-        bound = bind(grounded, operator, senses.type_of, domain.types, roles)
-        thing = bound.thing
-        if thing is None or thing not in places or bound.hand is None:
+        hand, motion = motion_of(step, domain, skills)
+        thing, support = motion.object, motion.support
+        if thing is None or thing not in places:
             continue
-        if bound.support is not None and bound.support != TABLE and bound.support in places:
-            rise = (heights[bound.support] + heights[thing]) / 2
-            places[thing] = places[bound.support] + np.array([0.0, 0.0, rise])
+        if support is not None and support != TABLE and support in places:
+            rise = (heights[support] + heights[thing]) / 2
+            places[thing] = places[support] + np.array([0.0, 0.0, rise])
         spot = tuple(float(value) for value in np.round(places[thing], 3))
-        if (bound.hand, thing, spot) in told:
+        if (hand, thing, spot) in told:
             continue
-        told.add((bound.hand, thing, spot))
-        why = session.can_reach(bound.hand, (spot[0], spot[1], spot[2]))
+        told.add((hand, thing, spot))
+        why = session.can_reach(hand, (spot[0], spot[1], spot[2]))
         if why is not None:
-            return f"step {number}, {step}: {bound.hand} cannot get to {thing} at {spot}: {why}"
+            return f"step {number}, {step}: {hand} cannot get to {thing} at {spot}: {why}"
     return None
 
 

@@ -82,6 +82,8 @@ class Case:
     """What the step takes, carries or lets go."""
     support: str | None = None
     """What it is put on."""
+    was_held: bool = False
+    """The object was in the hand when the step was dispatched."""
     motion_state: str | None = None
     motion_problem: str | None = None
     motion_reason: str | None = None
@@ -308,9 +310,17 @@ def _bad_motion(case: Case, tracks: _Tracks, params: DiagnoseParams) -> Diagnosi
     if case.motion_state is None:
         return None
     why = case.motion_reason or case.motion_problem or case.motion_state
+    is_off_course = case.tracking_error_m > params.course_error_m or case.n_collisions > 0
+    if case.was_held and case.motion_state != "succeeded" and not is_off_course:
+        in_hand = Atom(params.holding, (case.hand or "", case.thing or ""))
+        if in_hand not in case.held | case.unknown:
+            return Diagnosis(
+                failure="execution_offset",
+                cause=f"{case.thing} left {case.hand} on the way, with the hand on its course: {why}",
+            )
     if case.motion_problem in {"object_lost", "not_holding", "no_contact", "grasped_nothing"}:
         # The hand went where it was told; it is the object that did not follow.
-        if case.tracking_error_m > params.course_error_m or case.n_collisions:
+        if is_off_course:
             return Diagnosis(
                 failure="motion",
                 cause=f"{why}; the hand was {case.tracking_error_m * 1e3:.0f} mm off its path, "
@@ -342,18 +352,25 @@ def _badly_placed(case: Case, tracks: _Tracks, params: DiagnoseParams) -> Diagno
                 failure="execution_offset",
                 cause=f"{case.thing} moved {drift_m * 1e3:.0f} mm within {case.hand}",
             )
-    thing = tracks.end(case.thing)
-    support = None if case.support is None or case.support in case.fixed else tracks.end(case.support)
-    if thing is not None and support is not None:
-        offset_m = float(np.linalg.norm((thing - support)[:2]))
+    pairs = [
+        (literal.atom.arguments[0], literal.atom.arguments[1])
+        for literal in case.literals
+        if literal.is_positive and literal.atom.predicate == params.resting
+    ]
+    for name, support in pairs:
+        top, base = tracks.end(name), tracks.end(support)
+        if support in case.fixed or top is None or base is None:
+            continue
+        offset_m = float(np.linalg.norm((top - base)[:2]))
+        if top[2] <= base[2] + params.offset_m:
+            return Diagnosis(
+                failure="execution_offset",
+                cause=f"{name} lies beside {support}, {offset_m * 1e3:.0f} mm off, and not on it",
+            )
         if offset_m > params.offset_m:
             return Diagnosis(
                 failure="execution_offset",
-                cause=f"{case.thing} lies {offset_m * 1e3:.0f} mm off the middle of {case.support}",
-            )
-        if thing[2] <= support[2]:
-            return Diagnosis(
-                failure="execution_offset", cause=f"{case.thing} lies beside {case.support}, not on it"
+                cause=f"{name} lies {offset_m * 1e3:.0f} mm off the middle of {support}",
             )
     for other in _involved(case):
         places = tracks.places.get(other, np.zeros((0, 3)))

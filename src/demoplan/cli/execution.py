@@ -1,0 +1,259 @@
+"""Commands that let robots run plans: execute, evaluate, serve-goals."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from demoplan.cli.options import (
+    DEFAULT_STORE,
+    JsonOption,
+    StoreOption,
+    WorkersOption,
+    existing_store,
+    workers_of,
+)
+from demoplan.cli.output import Exit, print_frame, print_json, print_table, progress, say, stdout
+from demoplan.errors import UnknownNameError, UsageError
+from demoplan.store import Store
+
+if TYPE_CHECKING:
+    from demoplan.language.vocabulary import Vocabulary
+    from demoplan.pipeline.faults import AnyFault
+
+RobotOption = Annotated[str, typer.Option("--robot", help="gripper, gripper_dual, tiago, tiago_dual.")]
+MonitorOption = Annotated[
+    list[str] | None,
+    typer.Option("--monitor", help="full, preconditions, none; evaluate takes several."),
+]
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands."""
+    app.command()(execute)
+    app.command()(evaluate)
+    app.command("serve-goals")(serve_goals)
+
+
+def _vocabulary(store: Store, dataset: str) -> "Vocabulary":
+    from demoplan.pipeline.datasets import recall
+
+    return recall(store, dataset).vocabulary
+
+
+def _checked(monitors: Sequence[str], robot: str) -> tuple[str, ...]:
+    from demoplan.engines.mujoco.session import ROBOTS
+    from demoplan.pipeline.execute import MONITORS
+
+    for name in monitors:
+        if name not in MONITORS:
+            raise UnknownNameError("monitor", name, MONITORS)
+    if robot not in ROBOTS:
+        raise UnknownNameError("robot", robot, ROBOTS)
+    return tuple(monitors)
+
+
+def execute(
+    domain: Annotated[
+        str, typer.Option("--domain", "-d", help="Domain: id, start of an id, or name (then the latest).")
+    ],
+    goal: Annotated[str, typer.Option("--goal", "-g", help='"onTop(cube_red, cube_blue) & …", or PDDL.')],
+    scene: Annotated[
+        Path | None,
+        typer.Option("--scene", metavar="FILE", help="Scene; without one, four cubes at random places."),
+    ] = None,
+    robot: RobotOption = "gripper",
+    seed: Annotated[int, typer.Option(min=0, help="Seed of scene, sensors and faults.")] = 0,
+    monitor: MonitorOption = None,
+    faults: Annotated[
+        Path | None, typer.Option("--faults", metavar="FILE", help="Faults file, for --fault.")
+    ] = None,
+    fault: Annotated[str | None, typer.Option("--fault", help="Which of them happens.")] = None,
+    view: Annotated[
+        Path | None, typer.Option("--view", metavar="FILE.rrd", help="Save a recording of the run.")
+    ] = None,
+    store: StoreOption = DEFAULT_STORE,
+    as_json: JsonOption = False,
+) -> None:
+    """Plan, and let a simulated robot do it, watched and replanned. Exit code 1 if the goal is not reached."""
+    from demoplan.engines.mujoco.scene_spec import read_scene
+    from demoplan.engines.mujoco.session import open_session
+    from demoplan.pipeline.evaluate import GoalCase, scene_of
+    from demoplan.pipeline.execute import ExecuteParams
+    from demoplan.pipeline.execute import execute as run_plan
+    from demoplan.pipeline.faults import read_faults
+    from demoplan.pipeline.learning import stored_domain
+
+    monitors = _checked(monitor or ("full",), robot)
+    if len(monitors) != 1:
+        raise UsageError(f"execute takes one --monitor; given: {', '.join(monitors)}")
+    opened = existing_store(store)
+    learned = stored_domain(opened, domain)
+    vocabulary = _vocabulary(opened, learned.version.dataset)
+    known = {each.name: each for each in (read_faults(faults) if faults else ())}
+    if fault is not None and fault not in known:
+        raise UnknownNameError("fault", fault, known, str(faults or "no --faults file"))
+    spec = read_scene(scene) if scene else scene_of(GoalCase(name="goal", goal=goal), seed)
+    done = run_plan(
+        learned.domain,
+        goal,
+        open_session(spec, robot, seed=seed),
+        vocabulary,
+        seed=seed,
+        domain_id=str(learned.version.domain_id),
+        fault=known[fault] if fault is not None else None,
+        params=ExecuteParams(monitor=monitors[0]),
+    )
+    row = done.run.row(0, named=True)
+    if as_json:
+        print_json({"run": row, "steps": done.steps})
+    else:
+        print_table(
+            "steps",
+            ["plan", "step", "state", "from [s]", "to [s]", "what was wrong"],
+            [
+                (
+                    each["plan_index"],
+                    f"{each['operator']}({', '.join(each['arguments'])})",
+                    each["state"],
+                    "" if each["start_ns"] is None else f"{each['start_ns'] / 1e9:.2f}",
+                    "" if each["end_ns"] is None else f"{each['end_ns'] / 1e9:.2f}",
+                    "" if each["failure"] is None else f"{each['failure']}: {each['cause']}",
+                )
+                for each in done.steps.iter_rows(named=True)
+            ],
+        )
+        stdout.print(
+            f"{row['outcome']}; by physics the goal is {'' if row['is_goal_reached'] else 'not '}reached, after "
+            f"{row['simulated_s']:.1f} simulated seconds, {row['n_steps']} steps, {row['n_plans']} plans",
+            markup=False,
+        )
+    if row["reason"]:
+        say(row["reason"])
+    if view is not None:
+        from demoplan.pipeline.viewing import record_run
+
+        record_run(done, spec, vocabulary, view)
+        say(f"recording written to {view}")
+    raise typer.Exit(int(Exit.FINE if row["is_goal_reached"] else Exit.FAILED))
+
+
+def evaluate(
+    domains: Annotated[
+        list[str], typer.Argument(help="Domains: ids, names, or patterns as 'cube-stacking*'.")
+    ],
+    goals: Annotated[Path, typer.Option("--goals", metavar="FILE", help="Goals file.")],
+    seeds: Annotated[int, typer.Option("--seeds", min=1, help="How many seeds.")] = 10,
+    first_seed: Annotated[int, typer.Option(min=0, help="The first of them.")] = 0,
+    robot: RobotOption = "gripper",
+    faults: Annotated[
+        Path | None, typer.Option("--faults", metavar="FILE", help="Faults file: each, and none.")
+    ] = None,
+    monitor: MonitorOption = None,
+    report: Annotated[
+        Path | None, typer.Option("--report", metavar="FILE.html", help="Where the report goes.")
+    ] = None,
+    views: Annotated[
+        Path | None, typer.Option("--views", metavar="DIR", help="Save a recording of every run.")
+    ] = None,
+    store: StoreOption = DEFAULT_STORE,
+    workers: WorkersOption = 0,
+    as_json: JsonOption = False,
+) -> None:
+    """Execute every domain × goal × seed × fault × monitor; what was run before is not run again."""
+    from demoplan.pipeline.evaluate import evaluate as run_all
+    from demoplan.pipeline.evaluate import jobs_of, read_goals
+    from demoplan.pipeline.faults import read_faults
+    from demoplan.stages.score_runs import fault_confusion, score_runs
+
+    monitors = _checked(monitor or ("full",), robot)
+    opened = existing_store(store)
+    chosen = _domains(opened, domains)
+    vocabulary = _vocabulary(opened, chosen[0][2])
+    injected: list[AnyFault | None] = [None, *(read_faults(faults) if faults else ())]
+    jobs = jobs_of(
+        opened,
+        [(name, text) for name, text, _ in chosen],
+        read_goals(goals),
+        vocabulary=vocabulary,
+        seeds=range(first_seed, first_seed + seeds),
+        robot=robot,
+        faults=injected,
+        monitors=monitors,
+        folder=goals.parent,
+        is_recorded=views is not None,
+    )
+    with progress("execute", len(jobs)) as done:
+        result = run_all(jobs, n_workers=workers_of(workers), on_done=done)
+    scores = score_runs(result.runs)
+    if as_json:
+        print_json({"runs": result.runs, "scores": scores, "classes": fault_confusion(result.runs)})
+    else:
+        print_frame(
+            "scores",
+            scores.select("method", "metric", "subject", "value", "low", "high", "detail"),
+            limit=1000,
+        )
+        if faults is not None:
+            print_frame("classes of faults", fault_confusion(result.runs), limit=1000)
+        for (outcome,), part in result.runs.group_by("outcome", maintain_order=True):
+            say(f"{outcome}: {part.height} runs")
+    if report is not None:
+        from demoplan.pipeline.execution_report import execution_report
+        from demoplan.store.atomic import write_bytes
+
+        write_bytes(report, execution_report(result, title=f"{robot}: {goals.stem}").encode())
+        say(f"report: {report}")
+    if views is not None:
+        from demoplan.pipeline.viewing import record_runs
+
+        record_runs(opened, result, vocabulary, views)
+        say(f"recordings written to {views}")
+
+
+def _domains(store: Store, asked: Sequence[str]) -> list[tuple[str, str, str]]:
+    """(name, text, dataset) of the latest version of each domain asked for; a pattern may name several."""
+    from fnmatch import fnmatchcase
+
+    from demoplan.pipeline.learning import stored_domain
+
+    names = list(dict.fromkeys(version.name for version in store.domains.versions()))
+    chosen: dict[str, tuple[str, str, str]] = {}
+    for text in asked:
+        matching = [name for name in names if fnmatchcase(name, text)] if set(text) & set("*?[") else [text]
+        if not matching:
+            raise UnknownNameError("domain", text, names, f"store {store.root}")
+        for name in matching:
+            learned = stored_domain(store, name)
+            version = learned.version
+            chosen.setdefault(str(version.domain_id), (version.name, learned.text, version.dataset))
+    return list(chosen.values())
+
+
+def serve_goals(
+    domain: Annotated[str, typer.Option("--domain", "-d", help="Domain: id, start of an id, or name.")],
+    scene: Annotated[
+        Path | None,
+        typer.Option("--scene", metavar="FILE", help="Scene; without one, four cubes at random places."),
+    ] = None,
+    robot: RobotOption = "gripper",
+    seed: Annotated[int, typer.Option(min=0, help="Seed of scene and sensors.")] = 0,
+    port: Annotated[int, typer.Option(min=0, max=65535, help="Port on loopback; 0 takes a free one.")] = 9090,
+    store: StoreOption = DEFAULT_STORE,
+) -> None:
+    """Offer /demoplan/plan_goal and /demoplan/execute_goal to rosbridge clients, on loopback only."""
+    from demoplan.engines.rosbridge import serve
+    from demoplan.pipeline.goal_service import GoalService
+    from demoplan.pipeline.learning import stored_domain
+
+    _checked((), robot)
+    opened = existing_store(store)
+    learned = stored_domain(opened, domain)
+    vocabulary = _vocabulary(opened, learned.version.dataset)
+    service = GoalService(learned.domain, vocabulary, scene=scene, robot=robot, seed=seed)
+    serve(
+        service.services(),
+        port=port,
+        on_ready=lambda actual: say(f"rosbridge v2 on ws://127.0.0.1:{actual}; Ctrl-C ends it"),
+    )
