@@ -119,8 +119,12 @@ def _signatures(
         ):
             owner, atom = states.gather(source[subset])
             place, predicate, variables = _map_arguments(data, bound, subset[owner], atom)
-            is_grip = np.isin(predicate, grip_predicates) & (variables[:, 0] == HAND)
+            # What is said of the object alone, as that it is clear, changes with who holds it and not with
+            # what it rests on.
+            is_of_object = (variables[:, 0] == OBJECT) & (variables[:, 1:] == -1).all(axis=1)
+            is_grip = (np.isin(predicate, grip_predicates) & (variables[:, 0] == HAND)) | is_of_object
             is_support = ((variables == -1) | (variables >= OBJECT)).all(axis=1) & (variables[:, 0] != -1)
+            is_support &= ~is_of_object
             if kind == _ANY:
                 keep = ~(is_grip & (hand != own)[place]) & ~(is_support & (support != own)[place])
             else:
