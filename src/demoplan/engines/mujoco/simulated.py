@@ -72,7 +72,7 @@ class SimulatedSession:
         self._n_substeps = max(1, round(CONTROL_STEP_S / built.timestep_s))
         self.step_s = self._n_substeps * built.timestep_s
         self._step_ns = round(self.step_s * 1e9)
-        self._arms = built.bind(self.model, self.data)
+        self._arms = built.bind(self.model, self.data, self.step_s)
         self._geoms = {name: self.model.geom(name).id for name in (*scene.names, TABLE)}
         self._bodies = {name: self.model.body(name).id for name in (*scene.names, TABLE)}
         self._joints = {name: int(self.model.joint(name).qposadr[0]) for name in scene.names}

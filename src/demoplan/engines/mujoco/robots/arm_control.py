@@ -248,6 +248,11 @@ class ArmControl:
             return
         done = progress(float(lengths[-1]), speed_m_per_s, self.around.step_s)
         self._ahead = _columns(done, lengths, configurations)
+        rates = np.abs(np.diff(self._ahead, axis=0, prepend=configurations[:1])) / self.around.step_s
+        excess = float((rates.max(axis=0) / self.arm.speed_limits).max())
+        if excess > 1.0:
+            done = progress(float(lengths[-1]), speed_m_per_s, self.around.step_s, excess)
+            self._ahead = _columns(done, lengths, configurations)
         aims = _columns(done, lengths, way.position_xyz_m)
         limit = self.params.off_course_m**2
         for at in range(len(done)):

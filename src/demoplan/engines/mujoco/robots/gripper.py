@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from demoplan.engines.mujoco.robots.fingers import FingerParams, Fingers, add_fingers
-from demoplan.engines.mujoco.robots.robot import Arm, Unreachable
+from demoplan.engines.mujoco.robots.robot import Arm, Unreachable, lead_steps
 from demoplan.geometry import Array
 
 _JOINTS = ("x", "y", "z", "yaw")
@@ -92,11 +92,11 @@ class GripperRobot:
             actuator.forcelimited = mujoco.mjtLimited.mjLIMITED_TRUE
             actuator.forcerange = [-limit, limit]
 
-    def bind(self, model: mujoco.MjModel, data: mujoco.MjData) -> dict[str, Arm]:
+    def bind(self, model: mujoco.MjModel, data: mujoco.MjData, step_s: float) -> dict[str, Arm]:
         """The grippers in the compiled scene, at rest and open."""
         arms: dict[str, Arm] = {}
         for hand in self.hands:
-            arm = GripperArm(model, hand, self.rest_of(hand), self.params)
+            arm = GripperArm(model, hand, self.rest_of(hand), self.params, step_s)
             data.qpos[arm.joint_addresses] = arm.commanded()
             for finger in ("left", "right"):
                 data.qpos[model.joint(f"{hand}:{finger}").qposadr[0]] = arm.widest_opening_m / 2
@@ -108,7 +108,9 @@ class GripperRobot:
 class GripperArm:
     """One floating gripper; its configuration is the grasp's position and turn, ``(4,)``."""
 
-    def __init__(self, model: mujoco.MjModel, hand: str, rest_xyz_m: Array, params: GripperParams) -> None:
+    def __init__(
+        self, model: mujoco.MjModel, hand: str, rest_xyz_m: Array, params: GripperParams, step_s: float
+    ) -> None:
         """Find the gripper of a hand in a model."""
         self.hand = hand
         self.rest_xyz_m = rest_xyz_m
@@ -122,7 +124,9 @@ class GripperArm:
         self.joint_addresses: NDArray[np.intp] = np.array(
             [model.joint(f"{hand}:{name}").qposadr[0] for name in _JOINTS], dtype=np.intp
         )
+        self.speed_limits = np.full(4, np.inf)
         self._actuators = np.array([model.actuator(f"{hand}:{name}").id for name in _JOINTS])
+        self._lead = lead_steps(model, self._actuators, step_s)
         self._palm = model.body(hand).id
         down = np.array([0.0, 0.0, -params.fingers.grasp_point_m])
         self._fingers = Fingers(model, hand, params.fingers, self._palm, down)
@@ -154,8 +158,8 @@ class GripperArm:
 
     def command(self, data: mujoco.MjData, configuration: Array, closure: float) -> None:
         """Drive towards a configuration ``(4,)``, and the fingers to a closure: 0 open, 1 closed."""
+        data.ctrl[self._actuators] = configuration + self._lead * (configuration - self._commanded)
         self._commanded = configuration
-        data.ctrl[self._actuators] = configuration
         self._fingers.command(data, closure)
 
     def commanded(self) -> Array:

@@ -2,7 +2,8 @@
 
 from demoplan.engines.mujoco.robots.gripper import GripperRobot
 from demoplan.engines.mujoco.robots.robot import Robot
-from demoplan.errors import UnknownNameError
+from demoplan.engines.mujoco.session import ROBOTS
+from demoplan.errors import SimulationError, UnknownNameError
 
 BOTH = ("Left_hand", "Right_hand")
 
@@ -18,4 +19,17 @@ def make_robot(name: str) -> Robot:
         return GripperRobot()
     if name == "gripper_dual":
         return GripperRobot(BOTH)
-    raise UnknownNameError("robot", name, ("gripper", "gripper_dual"))
+    if name in ("tiago", "tiago_dual"):
+        return _make_tiago(("Right_hand",) if name == "tiago" else BOTH)
+    raise UnknownNameError("robot", name, ROBOTS)
+
+
+def _make_tiago(hands: tuple[str, ...]) -> Robot:
+    # TIAGo wants packages that the light robot does without.
+    try:
+        from demoplan.engines.mujoco.robots.tiago import TiagoRobot  # noqa: PLC0415
+    except ModuleNotFoundError as error:
+        raise SimulationError(
+            f"TIAGo needs {error.name}: install demoplan with the extra 'robot', or use the robot 'gripper'"
+        ) from None
+    return TiagoRobot(hands)

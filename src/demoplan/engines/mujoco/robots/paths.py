@@ -12,6 +12,9 @@ import numpy as np
 from demoplan.engines.mujoco.motion import minimum_jerk
 from demoplan.geometry import Array
 
+SHORTEST_S = 0.2
+"""No movement is shorter [s]."""
+
 TURN_M_PER_RAD = 0.12
 """A turn of one radian takes as long as this way."""
 
@@ -90,10 +93,13 @@ def way_through(points_xyz_m: Array, yaw_rad: Array, *, radius_m: float = 0.04, 
     return Way(dense[:, :3], dense[:, 3])
 
 
-def progress(length_m: float, speed_m_per_s: float, step_s: float, shortest_s: float = 0.2) -> Array:
-    """Length of the way that is done after each control step ``(n,)``, by minimum jerk; the last is all."""
+def progress(length_m: float, speed_m_per_s: float, step_s: float, slowing: float = 1.0) -> Array:
+    """Length of the way that is done after each control step ``(n,)``, by minimum jerk; the last is all.
+
+    ``slowing`` stretches the time that the peak speed alone would ask for.
+    """
     # The peak speed of a minimum-jerk movement is 15/8 of its mean.
-    duration = max(1.875 * length_m / speed_m_per_s, shortest_s)
+    duration = slowing * max(1.875 * length_m / speed_m_per_s, SHORTEST_S)
     n = max(1, int(np.ceil(duration / step_s)))
     done: Array = length_m * minimum_jerk(np.arange(1, n + 1) / n)
     return done

@@ -36,6 +36,8 @@ class Arm(Protocol):
     """Height up to which it makes sense to pass over things."""
     joint_addresses: NDArray[np.intp]
     """Where its configuration stands in ``qpos``."""
+    speed_limits: Array
+    """Fastest change of each element of its configuration ``(d,)``, per second."""
     geoms: frozenset[int]
     """All of hand and arm."""
     pads: frozenset[int]
@@ -82,5 +84,16 @@ class Robot(Protocol):
     def add_to(self, spec: mujoco.MjSpec) -> None:
         """Attach the robot to a scene."""
 
-    def bind(self, model: mujoco.MjModel, data: mujoco.MjData) -> dict[str, Arm]:
-        """Its arms in the compiled scene; ``data`` is set to the rest pose."""
+    def bind(self, model: mujoco.MjModel, data: mujoco.MjData, step_s: float) -> dict[str, Arm]:
+        """Its arms in the compiled scene, which get a command every ``step_s``; ``data`` is set to rest."""
+
+
+def lead_steps(model: mujoco.MjModel, actuators: NDArray[np.intp], step_s: float) -> Array:
+    """By how many control steps each position actuator's command has to run ahead ``(d,)``.
+
+    A position actuator damps the joint's speed, not its deviation from the speed that is wanted: it trails by
+    its damping over its stiffness. Running ahead by that time makes up for it.
+    """
+    stiffness = -model.actuator_biasprm[actuators, 1]
+    damping = -model.actuator_biasprm[actuators, 2]
+    return np.asarray(damping / stiffness / step_s)
