@@ -18,7 +18,6 @@ from demoplan.stages.denoise.snapshots import snapshots
 from demoplan.stages.denoise.touches import Candidate, GroundCodes, candidates, spans, touch
 from demoplan.tables import Literals, Operators
 
-_HALF = 0.5
 _SURE = 0.9
 
 
@@ -160,7 +159,8 @@ def _verdicts(over: tuple[Candidate, ...], beliefs: Beliefs, params: DenoisePara
         likeliest = mine[effects[mine, ADD].argmax()]
         if not (effect[mine] == ADD).any() and effects[likeliest, ADD] >= params.effect_despite:
             effect[likeliest] = ADD
-    return _Verdicts((required >= _HALF) & (effect != ADD), effect, required, avoided, effects)
+    least = np.where(effect == DELETE, params.required_if_deleted_min, params.required_min)
+    return _Verdicts((required >= least) & (effect != ADD), effect, required, avoided, effects)
 
 
 def _by_action(

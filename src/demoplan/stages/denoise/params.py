@@ -48,6 +48,10 @@ class DenoiseParams:
     """Longer traces are cut into spans of this many states, each on its own: bounds time and memory."""
     max_instances: int = 1_500
     """Spans are taken in order, as long as one of their actions has fewer instances than this."""
+    required_min: float = 0.5
+    """Probability from which a condition is stated."""
+    required_if_deleted_min: float = 0.2
+    """The same for what the action deletes: stated in vain it costs hardly a plan, left out it breaks some."""
     effect_despite: float = 0.05
     """An action without any likely added literal is given its likeliest, if that is at least this likely:
     nobody acts to no end."""
