@@ -51,7 +51,7 @@ class DenoiseParams:
     required_min: float = 0.5
     """Probability from which a condition is stated."""
     required_if_deleted_min: float = 0.2
-    """The same for what the action deletes: stated in vain it costs hardly a plan, left out it breaks some."""
+    """The same for what the action deletes: stated in vain it costs no plan, left out it breaks some."""
     effect_despite: float = 0.05
     """An action without any likely added literal is given its likeliest, if that is at least this likely:
     nobody acts to no end."""
