@@ -21,6 +21,8 @@ def are_known(rows: Array) -> NDArray[np.bool_]:
 def normalised(quaternions_wxyz: Array) -> Array:
     """Unit quaternions ``(n, 4)``; rows whose norm is zero or not finite become NaN."""
     norms = np.sqrt(np.einsum("...i,...i->...", quaternions_wxyz, quaternions_wxyz))[..., None]
+    if np.all(norms > 0):
+        return np.asarray(quaternions_wxyz / norms)
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.where(norms > 0, quaternions_wxyz / norms, np.nan)
 
@@ -47,10 +49,18 @@ def conjugate(quaternions_wxyz: Array) -> Array:
 
 def rotate(quaternions_wxyz: Array, vectors_xyz: Array) -> Array:
     """Vectors ``(n, 3)`` of the body frame, expressed in the reference frame."""
-    w = quaternions_wxyz[..., :1]
-    axis = quaternions_wxyz[..., 1:]
-    twice = 2.0 * np.cross(axis, vectors_xyz)
-    return np.asarray(vectors_xyz + w * twice + np.cross(axis, twice))
+    w, x, y, z = np.moveaxis(quaternions_wxyz, -1, 0)
+    u, v, q = np.moveaxis(vectors_xyz, -1, 0)
+    # v + w·t + a × t with t = 2·a × v, entry by entry: faster than cross products of short rows.
+    t0, t1, t2 = 2.0 * (y * q - z * v), 2.0 * (z * u - x * q), 2.0 * (x * v - y * u)
+    return np.stack(
+        (
+            u + w * t0 + (y * t2 - z * t1),
+            v + w * t1 + (z * t0 - x * t2),
+            q + w * t2 + (x * t1 - y * t0),
+        ),
+        axis=-1,
+    )
 
 
 def slerp(start_wxyz: Array, end_wxyz: Array, fraction: Array) -> Array:

@@ -25,10 +25,10 @@ def hysteresis(enters: Bools, stays: Bools) -> Bools:
     >>> hysteresis(level >= 2, level >= 1).astype(int)
     array([0, 1, 1, 1, 0, 0, 0])
     """
-    is_event = enters | ~stays
-    ticks = np.arange(enters.shape[-1])
-    latest = np.maximum.accumulate(np.where(is_event, ticks, -1), axis=-1)
-    return np.asarray(np.take_along_axis(enters, np.maximum(latest, 0), axis=-1) & (latest >= 0))
+    # Events are numbered by their ticks, from 1, with what they do in the lowest bit: the latest one decides.
+    numbers = 2 * np.arange(1, enters.shape[-1] + 1)
+    latest = np.maximum.accumulate(np.where(enters | ~stays, numbers + enters, 0), axis=-1)
+    return np.asarray((latest & 1).astype(np.bool_))
 
 
 def run_lengths(codes: Codes) -> tuple[Ints, Ints, Ints, Codes]:

@@ -61,5 +61,12 @@ def _conditions(schema: type[dy.Schema]) -> tuple[list[pl.Expr], pl.Expr, pl.Exp
         for name in reversed(key):
             here, before = pl.col(name), pl.col(name).shift()
             rises = (here > before) | ((here == before) & rises)
-    conditions = [rule.expr.all(ignore_nulls=True).alias(name) for name, rule in rules.items()]
+    conditions = []
+    for name, dtype in declared.items():
+        asks = [f"{name}|inner_nan", f"{name}|inner_inf"]
+        if isinstance(dtype, pl.Array) and dtype.inner.is_float() and all(ask in rules for ask in asks):
+            # Where the sum of a row is a number, its entries are. A sum may overflow: the slow way decides.
+            conditions.append(pl.col(name).arr.sum().is_finite().all(ignore_nulls=True).alias(asks[0]))
+            del rules[asks[0]], rules[asks[1]]
+    conditions += [rule.expr.all(ignore_nulls=True).alias(name) for name, rule in rules.items()]
     return conditions or [pl.lit(True)], rises.all(ignore_nulls=True), unique

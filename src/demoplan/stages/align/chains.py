@@ -62,7 +62,13 @@ def world_tracks(
         for frame in order:
             above = [edge for edge in transforms if edge[0] == frame and edge[1] in tracks]
             if frame not in tracks and above:
-                tracks[frame] = youngest([chained(tracks[edge[1]], transforms[edge]) for edge in above])
+                # What is told in the world already needs no chain.
+                tracks[frame] = youngest(
+                    [
+                        transforms[edge] if edge[1] == world else chained(tracks[edge[1]], transforms[edge])
+                        for edge in above
+                    ]
+                )
     lost = sorted(set(needed) - set(tracks))
     if lost:
         raise DataError(
