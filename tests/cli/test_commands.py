@@ -183,9 +183,60 @@ def test_a_bad_log_is_set_aside_and_the_others_go_on(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "command", ["run", "record", "ingest", "doctor", "segmenter", "domain", "plan", "view", "tables"]
+    "command",
+    [
+        "run",
+        "record",
+        "ingest",
+        "doctor",
+        "segmenter",
+        "domain",
+        "plan",
+        "view",
+        "tables",
+        "reprocess",
+        "store",
+    ],
 )
 def test_every_command_has_help(command):
     ended = demoplan(command, "--help")
     assert ended.returncode == 0
     assert "Usage" in ended.stdout
+
+
+def test_after_the_main_job_nothing_is_stale_and_the_store_is_whole(store):
+    folder, _ = store
+    stale = demoplan("reprocess", "--dry-run", "--json", "--store", folder / "store")
+    assert stale.returncode == 0, stale.stderr
+    assert json.loads(stale.stdout)["stale"] == []
+    history = demoplan("store", "log", "--json", "--store", folder / "store")
+    assert json.loads(history.stdout)[0]["cause"] == "run two"
+    verified = demoplan("store", "verify", "--json", "--store", folder / "store")
+    assert (verified.returncode, json.loads(verified.stdout)) == (0, [])
+    swept = demoplan("store", "gc", "--dry-run", "--json", "--store", folder / "store")
+    assert (swept.returncode, json.loads(swept.stdout)) == (0, [])
+
+
+def test_a_damaged_store_fails_verification_and_is_mended_by_repairing_and_reprocessing(store, tmp_path):
+    import shutil
+
+    folder, _ = store
+    shutil.copytree(folder / "store", tmp_path / "store")
+    manifest = json.loads((tmp_path / "store/manifest.json").read_text())
+    content = manifest["datasets"]["two"]["p1-one-left"]["tables"]["facts"]
+    path = tmp_path / "store/objects" / content[:2] / f"{content}.parquet"
+    whole = path.read_bytes()
+    path.write_bytes(whole[:-1])
+    assert demoplan("store", "verify", "--store", tmp_path / "store").returncode == 1
+    repaired = demoplan("store", "repair", "--store", tmp_path / "store")
+    assert (repaired.returncode, "set aside" in repaired.stdout) == (0, True)
+    ended = demoplan("reprocess", "--workers", 1, "--store", tmp_path / "store")
+    assert ended.returncode == 0, ended.stderr
+    assert path.read_bytes() == whole
+    assert demoplan("store", "verify", "--store", tmp_path / "store").returncode == 0
+
+
+def test_a_condition_with_an_unknown_column_is_refused(store):
+    folder, _ = store
+    ended = demoplan("reprocess", "--where", "colour = 1", "--store", folder / "store")
+    assert (ended.returncode, "columns: dataset" in ended.stderr) == (2, True)

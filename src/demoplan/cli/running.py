@@ -1,4 +1,4 @@
-"""The main job: run."""
+"""The main job, and doing again what is stale of it: run, reprocess."""
 
 import os
 from pathlib import Path
@@ -14,9 +14,10 @@ from demoplan.cli.options import (
     RootOption,
     StoreOption,
     WorkersOption,
+    existing_store,
     workers_of,
 )
-from demoplan.cli.output import Exit, print_json, print_table, progress, say
+from demoplan.cli.output import Exit, print_frame, print_json, print_table, progress, say, warn
 from demoplan.store import Store
 
 if TYPE_CHECKING:
@@ -29,8 +30,9 @@ HEADLINES = ("frame accuracy", "macro F1", "F1@50", "edit score")
 
 
 def register(app: typer.Typer) -> None:
-    """Add the command."""
+    """Add the commands."""
     app.command()(run)
+    app.command()(reprocess)
 
 
 def run(
@@ -72,6 +74,70 @@ def run(
         _show(result)
     say(f"report: {result.report}")
     raise typer.Exit(int(max(show_states(list(result.states), as_json=False), Exit.FINE)))
+
+
+_MOST_LISTED = 40
+"""Stale stage runs that are listed one by one; ``--json`` gives all of them."""
+
+
+def reprocess(
+    where: Annotated[
+        str | None,
+        typer.Option(
+            "--where",
+            metavar="EXPR",
+            help="Only episodes that fit: \"participant = 'p1' AND reason = 'code'\".",
+        ),
+    ] = None,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Only say what is stale, why, and what it would cost.")
+    ] = False,
+    store: StoreOption = DEFAULT_STORE,
+    workers: WorkersOption = 0,
+    as_json: JsonOption = False,
+) -> None:
+    """Run again what is stale, and only that: input, parameters, code or table declarations changed."""
+    from demoplan.pipeline.reprocess import reprocess as run_again
+    from demoplan.pipeline.staleness import find_stale, selected, total_cost_s
+
+    opened = existing_store(store)
+    plan = find_stale(opened, os.environ)
+    rows = selected(plan, where)
+    cost_s, n_unknown = total_cost_s(rows)
+    blocked = rows.filter(pl.col("reason") == "blocked")
+    if not as_json:
+        by = ["dataset", "stage", "reason"]
+        counts = rows.group_by(by, maintain_order=True).agg(
+            pl.len().alias("runs"),
+            pl.col("cost_s").sum(),
+            pl.col("detail").first().alias("the first of them"),
+        )
+        print_frame(f"{rows.height} stage runs are stale", counts, limit=1000)
+        if 0 < rows.height <= _MOST_LISTED:
+            listed = rows.select("episode_id", "domain", "stage", "reason", "detail", "cost_s")
+            print_frame("they are", listed, limit=_MOST_LISTED)
+    unknown = f", and {n_unknown} that never ran before" if n_unknown else ""
+    say(f"at most {rows.height - blocked.height} stage runs, about {cost_s:.1f} s of work{unknown}")
+    result = None
+    if not dry_run and rows.height > blocked.height:
+        result = run_again(opened, plan, rows, n_workers=workers_of(workers), progress=progress)
+        for domain, changes in result.changes.items():
+            say(f"{domain}: new version, {len(changes)} differences; `demoplan domain list` names it")
+    if as_json:
+        print_json(
+            {
+                "stale": rows,
+                "cost_s": cost_s,
+                "n_cost_unknown": n_unknown,
+                "episodes": [s.episode_id for s in result.states] if result else [],
+                "domains": [each.version.domain_id for each in result.learned] if result else [],
+                "snapshot": result.snapshot_id if result else None,
+            }
+        )
+    for row in blocked.iter_rows(named=True):
+        warn(f"{row['dataset']} {row['episode_id'] or ''}: {row['detail']}")
+    code = show_states(list(result.states), as_json=False) if result else Exit.FINE
+    raise typer.Exit(int(Exit.DATA_LOSS if blocked.height and not dry_run else code))
 
 
 def _recorded(store: Path, opened: "OpenDataset", n_people: int, seed: int) -> "OpenDataset":

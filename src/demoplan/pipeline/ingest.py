@@ -26,6 +26,10 @@ from demoplan.store.objects import Table
 from demoplan.store.store import StageOutput, canonical_json
 from demoplan.tables import Activities, Episodes, Facts, Frames, Samples, Topics
 
+LATER_STAGES = ("segment", "contrast")
+LATER_TABLES = ("activities", "transitions")
+"""What comes of an episode after ingesting, and stays when it is ingested again with the same result."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class IngestJob:
@@ -289,12 +293,28 @@ def ingest(
 
     A process that dies takes only its own episode with it: that one is quarantined, the others go on.
     """
-    states = []
-    for state in _run(jobs, n_workers):
-        Store(jobs[0].store_root).manifest.update([state])
+    states: list[EpisodeState] = []
+    if not jobs:
+        return states
+    manifest = Store(jobs[0].store_root).manifest
+    before = {(state.dataset, state.episode_id): state for state in manifest.episodes()}
+    for found in _run(jobs, n_workers):
+        state = _with_what_still_holds(found, before.get((found.dataset, found.episode_id)))
+        manifest.update([state])
         states.append(state)
         on_done(state)
     return sorted(states, key=lambda state: state.episode_id)
+
+
+def _with_what_still_holds(new: EpisodeState, old: EpisodeState | None) -> EpisodeState:
+    """Activities and what was made of them stay, as long as they were made from the same frames and facts."""
+    if old is None or new.status == "quarantined":
+        return new
+    if any(new.tables.get(name) != old.tables.get(name) for name in ("frames", "facts")):
+        return new
+    later = {name: old.tables[name] for name in LATER_TABLES if name in old.tables}
+    keys = {stage: old.keys[stage] for stage in LATER_STAGES if stage in old.keys}
+    return replace(new, tables=later | new.tables, keys=keys | new.keys)
 
 
 def _run(jobs: Sequence[IngestJob], n_workers: int) -> Iterator[EpisodeState]:
