@@ -8,7 +8,7 @@ import dataframely as dy
 import polars as pl
 
 from demoplan.engines.fast_downward import SolveParams, plan_rows, solve
-from demoplan.errors import UsageError
+from demoplan.errors import DataError
 from demoplan.language.atoms import Atom
 from demoplan.language.domains import Domain, Plan, Problem, Step
 from demoplan.language.pddl import domain_id, problem_id
@@ -46,11 +46,12 @@ def learn_all(
     """A domain from each episode, by the episode's id, and one from all, under ``combined``.
 
     Raises:
-        UsageError: If no episode has activities.
+        DataError: If no episode has activities; it says why for each.
     """
     usable = [state for state in states if "transitions" in state.tables]
     if not usable:
-        raise UsageError(f"{opened.dataset.name}: no episode could be used; the reasons are above")
+        reasons = "".join(f"\n  {state.episode_id}: {state.reason or 'no activities'}" for state in states)
+        raise DataError(f"{opened.dataset.name}: none of {len(states)} episodes could be used:{reasons}")
     name = opened.dataset.name
     learned = {}
     for state in usable:

@@ -1,0 +1,78 @@
+"""What was read of a log, held against what a mapping promises: an error now, instead of silence later."""
+
+from dataclasses import dataclass
+
+import dataframely as dy
+import polars as pl
+
+from demoplan.errors import DataError
+from demoplan.manifests.mapping import Mapping
+from demoplan.tables import Samples, Topics
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlausibilityParams:
+    """From where on a log cannot mean what its mapping says."""
+
+    reach_m: float = 20.0
+    """No hand and no object of a manipulation is farther from its reference frame than this [m]."""
+    least_extent_m: float = 0.002
+    """A tracked body that never leaves its reference frame's origin by more was not tracked in metres [m]."""
+
+
+def refuse_implausible(
+    samples: dy.DataFrame[Samples],
+    topics: dy.DataFrame[Topics],
+    mapping: Mapping,
+    params: PlausibilityParams = PlausibilityParams(),
+) -> None:
+    """Raise if a required topic gave nothing, or positions cannot be in the unit that the mapping states.
+
+    Args:
+        samples: What was read; positions are in metres if the mapping's units are right.
+        topics: How much was read of each topic.
+        mapping: What was expected.
+        params: Limits.
+
+    Raises:
+        DataError: If so; it says which topic, what was found, and what to change.
+    """
+    _refuse_empty(topics, mapping)
+    _refuse_units(samples, mapping, params)
+
+
+def _refuse_empty(topics: dy.DataFrame[Topics], mapping: Mapping) -> None:
+    required = {label.split("#")[0] for label, topic in mapping.topics.items() if topic.required}
+    silent = topics.filter(
+        pl.col("topic").is_in(sorted(required)) & (pl.col("n_messages") > 0) & (pl.col("n_rows") == 0)
+    )
+    for row in silent.iter_rows(named=True):
+        raise DataError(
+            f"topic {row['topic']} ({row['message_type']}): none of {row['n_messages']} messages gave "
+            f"a usable reading: {row['note'] or 'no reason is known'}; "
+            "mend the mapping, or say `required: false`"
+        )
+
+
+def _refuse_units(samples: dy.DataFrame[Samples], mapping: Mapping, params: PlausibilityParams) -> None:
+    entities = set(mapping.entities)
+    furthest = (
+        samples.filter(pl.col("is_tracked") & pl.col("position_xyz_m").is_not_null() & ~pl.col("is_static"))
+        .group_by("topic", "entity", "kind", maintain_order=True)
+        .agg(pl.col("position_xyz_m").arr.eval(pl.element().abs()).arr.max().max().alias("far"))
+    )
+    for row in furthest.iter_rows(named=True):
+        if row["kind"] == "transform" and row["entity"] not in entities:
+            continue
+        if row["far"] > params.reach_m:
+            unit = "mm" if row["far"] > 20 * params.reach_m else "cm"
+            raise DataError(
+                f"topic {row['topic']}: {row['entity']} is up to {row['far']:.4g} m away, farther than "
+                f"anything that is manipulated ({params.reach_m:g} m): the positions seem to be in {unit}; "
+                f"map the topic with `unit: {unit}`"
+            )
+        if row["kind"] == "pose" and row["far"] < params.least_extent_m:
+            raise DataError(
+                f"topic {row['topic']}: {row['entity']} is never more than {row['far']:.3g} m from its "
+                "reference frame's origin: check the topic's `unit`"
+            )
