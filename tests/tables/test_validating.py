@@ -49,6 +49,15 @@ def test_a_table_of_other_types_is_cast_and_a_rule_over_columns_is_checked():
         validated(pl.DataFrame([row | empty | {"end_ns": 0}]), Activities)
 
 
+def test_rows_may_stand_in_any_order_but_no_key_twice():
+    keys = {"position_xyz_m": [None] * 3, "orientation_wxyz": [None] * 3, "grip": [None] * 3}
+    keys |= {"episode_id": ["e"] * 3, "entity": ["b", "a", "b"], "pose_age_ns": [None] * 3}
+    table = frames(**keys, tick_ns=[0, 0, 1])
+    assert validated(table, Frames) is table
+    with pytest.raises(dy.exc.ValidationError, match="primary_key"):
+        validated(frames(**keys, tick_ns=[0, 0, 0]), Frames)
+
+
 def test_a_missing_column_is_refused():
     with pytest.raises(dy.exc.SchemaError):
         validated(frames().drop("grip"), Frames)

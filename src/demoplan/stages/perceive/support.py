@@ -39,14 +39,17 @@ def rests_on(bodies: Bodies, groundings: Groundings, numbers: Numbers, _: dict[s
     gaps = np.full((len(groundings), n_ticks), np.nan)
     tops = np.full((len(groundings), n_ticks), -np.inf)
     observed = np.zeros((len(groundings), n_ticks), np.bool_)
+    lowest = {rider: heights(bodies.solids[rider])[0] for rider in {rider for rider, _ in groundings}}
     for row, (rider, support) in enumerate(groundings):
         riding, below = bodies.solids[rider], bodies.solids[support]
         aside = np.hypot(*(riding.position_xyz_m - below.position_xyz_m).T[:2])
         near = np.flatnonzero(aside <= below.radius_m + 2.0 * numbers["footprint_margin_m"])
         if len(near):
-            riding, below = riding.take(near), below.take(near)
-            top = top_beneath(below, riding.position_xyz_m, numbers["footprint_margin_m"])
-            gap = np.abs(heights(riding)[0] - top)
+            over, low = riding.position_xyz_m, lowest[rider]
+            if len(near) < n_ticks:
+                over, low, below = over[near], low[near], below.take(near)
+            top = top_beneath(below, over, numbers["footprint_margin_m"])
+            gap = np.abs(low - top)
             gaps[row, near] = gap
             tops[row, near] = np.where(gap <= numbers["exit_m"], top, -np.inf)
         observed[row] = bodies.is_seen[rider] & bodies.is_seen[support]
@@ -66,8 +69,8 @@ def rests_on(bodies: Bodies, groundings: Groundings, numbers: Numbers, _: dict[s
 def nothing_on(bodies: Bodies, groundings: Groundings, _: Numbers, known: dict[str, Known]) -> Evidence:
     """No body rests on x and no hand holds it: something can be put on it, and a hand can take it.
 
-    A held body is not free even if it rests somewhere: the hand is where the next body would go. Unknown where
-    only unseen bodies could cover or hold it.
+    A held body is not free even if it rests somewhere: the hand is where the next body would go. Unknown
+    where only unseen bodies could cover or hold it.
     """
     parts = []
     for (thing,) in groundings:
