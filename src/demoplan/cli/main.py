@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 import demoplan
-from demoplan.cli import data, domains, planning, running, store
+from demoplan.cli import data, domains, execution, planning, running, store
 from demoplan.cli.output import Exit, fail, stderr
 from demoplan.errors import DemoplanError, UsageError
 
@@ -23,6 +23,7 @@ running.register(app)
 data.register(app)
 domains.register(app)
 planning.register(app)
+execution.register(app)
 store.register(app)
 
 

@@ -2,8 +2,8 @@
 
 An operator that was learned from watching states everything that was so around a transition: also that the
 hand was moving, and where to. Such inputs of a classifier last as long as the motion does. A planner may
-chain them, since they tell in which order activities follow. Nobody can demand them of a world that stands still
-between two motions, or plan from them after one has failed: there only what lasts counts.
+chain them, since they tell in which order activities follow. Nobody can demand them of a world that stands
+still between two motions, or plan from them after one has failed: there only what lasts counts.
 """
 
 from dataclasses import dataclass, replace

@@ -1,4 +1,4 @@
-"""Domains × goals × seeds × faults × monitors, executed on all cores: resumable, one row per run and per step."""
+"""Domains × goals × seeds × faults × monitors, executed on all cores: resumable, a row per run and step."""
 
 import multiprocessing
 from collections.abc import Callable, Iterator, Mapping, Sequence

@@ -1,4 +1,4 @@
-"""The executor: dispatches what is ready on free hands, watches, and decides what to do about a discrepancy."""
+"""The executor: dispatches what is ready on free hands, watches, and decides what a discrepancy means."""
 
 from collections import Counter
 from collections.abc import Mapping
@@ -67,6 +67,8 @@ class ExecuteParams:
     """Effects may come about so long after a motion has ended [s]."""
     confirm_s: float = 1.0
     """A discrepancy is looked at again after this long before anything is done about it [s]."""
+    patience_s: float = 2.0
+    """After a motion that failed, so long is waited before the next plan; longer each time [s]."""
     step_timeout_s: float = 30.0
     run_timeout_s: float = 600.0
     """Simulated time that a run may take [s]."""
@@ -169,6 +171,7 @@ class Executor:
         self._ended: set[int] = set()
         self._refusal = ""
         """Why the plan's remaining steps, which are left out, could not happen."""
+        self._pause_s = 0.0
         self._let_go: str | None = None
         """A hand that believes to hold what perception sees elsewhere."""
 
@@ -187,6 +190,7 @@ class Executor:
                 except _Replan:
                     self._stop_hands()
                     self._close_rows()
+                    self._advance(max(self._pause_s, self.params.poll_s))
                     if self._let_go is not None:
                         self._recover(self._let_go, Motion(activity="Release", skill="release"))
                         self._let_go = None
@@ -453,6 +457,8 @@ class Executor:
             better = amended(self.domain, step, deviation.missing, deviation.extra)
             self.domain = better or self.domain
         self._gone |= self._gone_objects()
+        # What is in the way may go away: each time it is given longer.
+        self._pause_s = self.params.patience_s * n_equal if found.failure == "motion" else 0.0
         if report is not None and report.problem == "still_holding" and running is not None:
             self._let_go = running.bound.hand
         raise _Replan

@@ -1,12 +1,12 @@
-"""What a discrepancy comes from: perception, motion, an execution offset, the operator model, or somebody else.
+"""What a discrepancy comes from: perception, motion, execution offset, operator model, or somebody else.
 
 The classes, in the order in which they are tried, since each explains away what would speak for a later one:
 
 - *perception*: it passed when looked at again, or what is perceived contradicts itself;
 - *motion*: the robot itself says that it did not get there, was blocked, or left its path;
 - *exogenous*: an object moved with no hand near it, faster than anything falls, or is gone;
-- *execution offset*: the hand went where it was told, and the object did not come to lie where it should;
-- *operator model*: the hand and the object did what the motion is for, and the operator promised something else.
+- *execution offset*: the hand went where it was told, and the object did not come to lie as it should;
+- *operator model*: hand and object did what the motion is for, and the operator promised something else.
 
 Only what was sensed and what the robot reports is looked at; who injected what is not known here.
 
@@ -14,7 +14,6 @@ Source: the levels of failure (execution, motion, operator) are those of M. Dieh
 Progress: Automated Generation of Robotic Planning Domains from Observations"; rules and numbers are ours.
 """
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal as Choice
 from typing import TypeAlias
@@ -144,7 +143,7 @@ def diagnose(case: Case, params: DiagnoseParams = DiagnoseParams()) -> Diagnosis
     if case.passed_after_s is not None:
         return Diagnosis(
             failure="perception",
-            cause=f"{_listed(case.literals)} had passed when looked at again {case.passed_after_s:.1f} s later",
+            cause=f"{_listed(case.literals)}: passed when looked at again {case.passed_after_s:.1f} s later",
         )
     tracks = _Tracks.of(case.frames)
     found = (
@@ -160,8 +159,8 @@ def diagnose(case: Case, params: DiagnoseParams = DiagnoseParams()) -> Diagnosis
         if case.n_good_before > case.n_alike_before:
             return Diagnosis(
                 failure="perception",
-                cause=f"{_listed(case.literals)}: hand and object are where the motion was to bring them, and the "
-                f"same step has shown it {case.n_good_before} times before",
+                cause=f"{_listed(case.literals)}: hand and object are where they should be, and the same step "
+                f"has shown it {case.n_good_before} times before",
             )
         again = f", {case.n_alike_before + 1} times now" if case.n_alike_before else ""
         return Diagnosis(
@@ -398,8 +397,3 @@ def _drift_while_closed(case: Case, seconds: Array, held: Array) -> float | None
     start = np.median(inside[:5], axis=0)
     smooth = np.stack([np.convolve(inside[:, axis], np.ones(5) / 5, mode="valid") for axis in range(3)], 1)
     return float(np.linalg.norm(smooth - start, axis=1).max())
-
-
-def lifted(literals: tuple[Literal, ...], bindings: Mapping[str, str]) -> tuple[str, ...]:
-    """Literals with instances replaced by an operator's variables, as text: what is the same failure again."""
-    return tuple(sorted(str(literal.substitute(dict(bindings))) for literal in literals))

@@ -1,8 +1,8 @@
 """Expected against sensed: what a step needs, what it should have done, and whether the rest still works.
 
-Three questions, asked of sensed states only: do the conditions of a step hold at dispatch, do its effects hold
-after it, and would the steps that remain still reach the goal from here? The third is what keeps a change that
-nobody expected from being noticed only when it is too late, and from being reported where it does not matter.
+Three questions, asked of sensed states only: do the conditions of a step hold at dispatch, do its effects
+hold after it, and would the steps that remain still reach the goal from here? By the third, a change that
+nobody expected is noticed before it is too late, and is not reported where it is harmless.
 
 Source: R. Fikes, P. Hart, N. Nilsson, "Learning and executing generalized robot plans", Artificial
 Intelligence 3, 1972, doi:10.1016/0004-3702(72)90051-3, for asking whether the rest of a plan still applies.

@@ -16,9 +16,9 @@ def score_runs(runs: dy.DataFrame[Runs]) -> dy.DataFrame[Scores]:
 
     Faults count only where they were injected. Recovered means: the goal was physically reached after a fault
     that its file calls recoverable. A false alarm is a discrepancy that was acted upon and was not true, in a
-    run without a fault. The class is right if the first one named after the fault is the true one, of all runs
-    in which it happened and any was named; runs in which none was named count as missed, unless the goal was
-    reached all the same, since then there was nothing to name.
+    run without a fault. The class is right if the first one named after the fault is the true one; a run in
+    which none was named counts as missed, unless the goal was reached all the same: then the fault had no
+    effect that could have been named.
 
     Args:
         runs: Any number of runs.
