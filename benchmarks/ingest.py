@@ -1,10 +1,9 @@
 # ruff: noqa: PLC0415 (each way is imported only in the process that measures it)
 """How fast logs become activities, stage by stage, beside the naive way; and how much memory it takes.
 
-One command prints the table::
+One command prints the table, in some minutes::
 
-    python benchmarks/ingest.py            # some minutes
-    python benchmarks/ingest.py --large    # also a log of 2 GiB: time and peak memory
+    python benchmarks/ingest.py
 
 Measured is CPU time (user and system) of one process with one thread, without its start and imports: reading
 the log, aligning, perceiving and segmenting with a trained tree, each through the store, as `demoplan run`
@@ -153,14 +152,12 @@ def measure(log_format: str, segmenter: Path, log: Path | None, n_runs: int) -> 
             job = job_of(opened, store, episodes[name], path)
             state = ingest.ingest_episode(job)
             assert state.status == "complete", state.reason
-            contrast = spent.copy()
             (state,) = activities.segment_episodes(
                 opened, store, [state], {state.episode_id: chosen}, is_kept=False
             )
             total = time.process_time() - start
             # Operators are learned from transitions; activities end before.
             total -= spent.pop("contrast")
-            del contrast
             frames = store.get(state.tables["episodes"], _episodes())
             length_s = (frames["end_ns"][0] - frames["start_ns"][0]) / 1e9
         return dict(spent) | {"total": total, "length_s": length_s}
@@ -220,6 +217,11 @@ def naive(log: Path) -> dict[str, float]:
     return {"total": time.process_time() - start, "length_s": (times[-1] - times[0]) / 1e9}
 
 
+def peak_mib() -> float:
+    """Largest resident memory of this process so far."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+
+
 def child(*arguments: str) -> list[dict[str, float]]:
     """What a process of its own measured."""
     done = subprocess.run(
@@ -238,7 +240,8 @@ def row(name: str, way: str, runs: list[dict[str, float]]) -> None:
     totals = [run["total"] for run in runs]
     print(
         f"| {name} | {median['length_s']:.1f} | {way} | {stages} | {1e3 * median['total']:.1f} "
-        f"| {1e3 * min(totals):.1f}–{1e3 * max(totals):.1f} | {median['length_s'] / median['total']:.0f} |",
+        f"| {1e3 * min(totals):.1f}–{1e3 * max(totals):.1f} | {median['length_s'] / median['total']:.0f} "
+        f"| {median['peak_mib']:.0f} |",
         flush=True,
     )
 
@@ -249,9 +252,10 @@ def table(folder: Path, formats: list[str], minutes: float, n_runs: int) -> None
         train(segmenter)
     print("CPU time [ms], one process and one thread; medians\n")
     print(
-        "| recording | length [s] | way | read | align | perceive | segment | total | spread | × real time |"
+        "| recording | length [s] | way | read | align | perceive | segment | total | spread "
+        "| × real time | peak [MiB] |"
     )
-    print("| --- " * 10 + "|")
+    print("| --- " * 11 + "|")
     suffix = {"mcap": ".mcap", "rosbag2": "", "rosbag1": ".bag"}
     for log_format in formats:
         name = EPISODES[log_format]
@@ -283,12 +287,11 @@ def main() -> None:
     parser.add_argument("--naive", type=Path, help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.naive:
-        print(json.dumps(naive(options.naive)))
+        print(json.dumps(naive(options.naive) | {"peak_mib": peak_mib()}))
         return
     if options.one:
         for run in measure(options.one, options.segmenter, options.log, options.runs):
-            peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-            print(json.dumps(run | {"peak_mib": peak}))
+            print(json.dumps(run | {"peak_mib": peak_mib()}))
         return
     with tempfile.TemporaryDirectory(prefix="demoplan-") as temporary:
         folder = options.folder or Path(temporary)
