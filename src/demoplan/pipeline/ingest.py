@@ -18,6 +18,7 @@ from demoplan.manifests.dataset import Episode
 from demoplan.manifests.labels import activities_of_labels
 from demoplan.manifests.mapping import Mapping
 from demoplan.pipeline.datasets import OpenDataset
+from demoplan.pipeline.plausibility import refuse_implausible
 from demoplan.stages.align import AlignParams, align
 from demoplan.stages.perceive import PerceiveParams, perceive
 from demoplan.store import EpisodeState, Store, stage_key
@@ -213,12 +214,13 @@ def _read(job: IngestJob, tables: EpisodeTables, sha256: str) -> None:
         stream = open_log(job.log, job.mapping, job.episode.id, definitions_root=job.definitions_root)
         batches = [*stream.batches()]
         samples = pl.concat(batches) if batches else Samples.create_empty()
+        refuse_implausible(Samples.cast(samples), stream.topics, job.mapping)
         tables.notes |= {"status": stream.status, "reason": stream.reason or ""}
         return {"samples": (samples, Samples), "topics": (stream.topics, Topics)}
 
     tables.run(
         "read",
-        modules=["demoplan.logs"],
+        modules=["demoplan.logs", "demoplan.pipeline.plausibility"],
         inputs={"log": sha256},
         params={"episode_id": job.episode.id, "mapping": job.mapping.model_dump(mode="json")},
         make=make,
