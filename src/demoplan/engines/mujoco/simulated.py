@@ -43,6 +43,11 @@ _HIDDEN = np.array([0.0, 0.0, -3.0])
 _REMOVED_SPACING_M = 0.5
 
 
+def _parked(index: int) -> Array:
+    """Where an obstacle waits that is not there."""
+    return np.array([2.0 * index, 0.0, -8.0])
+
+
 class SimulatedSession:
     """A robot in a scene, stepped by MuJoCo; see :class:`demoplan.engines.mujoco.session.Session`."""
 
@@ -57,13 +62,11 @@ class SimulatedSession:
         physics = SceneParams(table_size_xyz_m=scene.table_size_xyz_m, timestep_s=built.timestep_s)
         spec = build_objects(scene, physics)
         for index in range(N_OBSTACLES):
-            body = spec.worldbody.add_body(name=f"obstacle:{index}", mocap=True, pos=_HIDDEN)
+            body = spec.worldbody.add_body(name=f"obstacle:{index}", mocap=True, pos=_parked(index))
             body.add_geom(
                 name=f"obstacle:{index}",
                 type=mujoco.mjtGeom.mjGEOM_BOX,
                 size=[0.01, 0.01, 0.01],
-                contype=0,
-                conaffinity=0,
                 rgba=[0.55, 0.20, 0.20, 1.0],
             )
         built.add_to(spec)
@@ -358,10 +361,9 @@ class SimulatedSession:
         self.model.geom_size[geom] = half
         self.model.geom_rbound[geom] = np.linalg.norm(half)
         self.model.geom_aabb[geom] = np.concatenate([np.zeros(3), half])
-        self.model.geom_contype[geom] = self.model.geom_conaffinity[geom] = 1
         self.data.mocap_pos[self.model.body(f"obstacle:{index}").mocapid[0]] = fault.position_xyz_m
         self._obstacles[fault.name] = (index, fault, until)
-        self._watch.names[geom] = fault.name
+        self._watch.names[geom] = self.checker.names[geom] = fault.name
 
     def _expire(self) -> None:
         """End what was to last for a while only."""
@@ -372,9 +374,7 @@ class SimulatedSession:
             del self._slips[hand]
         for name in [name for name, (_, _, until) in self._obstacles.items() if self.time_ns >= until]:
             index = self._obstacles.pop(name)[0]
-            geom = self.model.geom(f"obstacle:{index}").id
-            self.model.geom_contype[geom] = self.model.geom_conaffinity[geom] = 0
-            self.data.mocap_pos[self.model.body(f"obstacle:{index}").mocapid[0]] = _HIDDEN
+            self.data.mocap_pos[self.model.body(f"obstacle:{index}").mocapid[0]] = _parked(index)
 
 
 def _with_parameters(params: SkillParams, motion: Motion) -> SkillParams:

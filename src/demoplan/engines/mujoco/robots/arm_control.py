@@ -84,6 +84,8 @@ class ArmControl:
         self.params = params
         self.closure = 0.0
         self.held: Held | None = None
+        self.held_width_m = 0.0
+        """How far the pads were apart when they had closed on what is held."""
         self.placing_offset: list[Array] = []
         """Faults still to come: each is added to the aim of one placing."""
         self.may_touch: frozenset[str] = frozenset()

@@ -52,7 +52,7 @@ class Checker:
         self._data = mujoco.MjData(model)
         self._objects = dict(objects)
         self._arms = dict(arms)
-        self._names = [
+        self.names = [
             model.geom(geom).name or model.body(model.geom_bodyid[geom]).name for geom in range(model.ngeom)
         ]
         self._side = np.zeros(model.ngeom, dtype=np.int64)
@@ -124,7 +124,7 @@ class Checker:
                 continue
             pairs = data.contact.geom[: data.ncon]
             sides = side[pairs]
-            # Between mover (1, 2) and anything else (0); what it holds touches its own hand, and that is fine.
+            # Between mover (1, 2) and anything else (0); what is held may touch its own hand.
             bad = (sides.min(axis=1) == 0) & np.isin(sides.max(axis=1), (1, 2))
             bad &= data.contact.dist[: data.ncon] < -depth_m
             if bad.any():
@@ -132,5 +132,5 @@ class Checker:
                 if side[first] == 0:
                     first, second = second, first
                 is_hand = any(int(second) in each.geoms for each in self._arms.values())
-                return Touch(at, self._names[first], self._names[second], is_hand)
+                return Touch(at, self.names[first], self.names[second], is_hand)
         return None

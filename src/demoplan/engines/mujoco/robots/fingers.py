@@ -56,6 +56,8 @@ def add_fingers(spec: mujoco.MjSpec, palm: mujoco.MjsBody, name: str, params: Fi
             pos=[0.0, sign * params.pad_thickness_m / 2, -(tip - half_length)],
             mass=params.finger_mass_kg,
             condim=4,
+            # The pads' friction counts, not the larger of theirs and the object's: else nothing could slip.
+            priority=1,
             friction=[params.pad_friction, 0.02, 0.0005],
             rgba=[0.16, 0.17, 0.19, 1.0],
         )

@@ -1,7 +1,7 @@
 """Inverse kinematics of one arm along a path: mink's differential IK, from each point to the next.
 
-The arm has seven joints and the grasp six degrees of freedom: the seventh keeps the posture near a comfortable
-one. Between points that are solved, configurations follow a cubic spline.
+The arm has seven joints and the grasp six degrees of freedom; what is left keeps the posture near a
+comfortable one. Between points that are solved, configurations follow a cubic spline.
 """
 
 from dataclasses import dataclass

@@ -5,6 +5,7 @@ left to physics. A skill that cannot do its work says so.
 """
 
 from collections.abc import Callable, Generator
+from itertools import product
 
 import numpy as np
 
@@ -19,6 +20,8 @@ _LOOK_S = 0.5
 """How long to wait for something to be seen [s]."""
 _MOVED_M = 0.006
 """What lies this far from where it was seen before has been moved."""
+_GRIP_CHANGE_M = 0.008
+"""A change of the pads' distance by more than this tells that what was held is lost."""
 _LEAST_GAP_M = 0.006
 """Pads that are closer than this hold nothing."""
 
@@ -112,9 +115,10 @@ def _approach(control: ArmControl, name: str) -> Generator[None, None, Grasp]:
     """Go above an object, for the first grasp of it that is free."""
     arm, params = control.arm, control.params
     failure: MotionFailed | None = None
-    for grasp in _grasps(control, _stance(control, name)):
-        above = grasp.position_xyz_m + np.array([0.0, 0.0, params.approach_m])
-        control.closure = min(control.closure, 1.0)
+    grasps = _grasps(control, _stance(control, name))
+    # Close to its body an arm cannot raise its hand far: then from half as high.
+    for height, grasp in product((params.approach_m, 0.5 * params.approach_m), grasps):
+        above = grasp.position_xyz_m + np.array([0.0, 0.0, height])
         script = control.go_over(
             above,
             grasp.yaw_rad,
@@ -173,6 +177,7 @@ def grasp(control: ArmControl, motion: Motion) -> Script:
     if far > stance.radius_m + stance.height_m / 2:
         raise MotionFailed("grasped_nothing", f"{name} is seen {1e3 * far:.0f} mm from the grasp")
     control.held = _held(control, name)
+    control.held_width_m = control.opening_m()
 
 
 def _held(control: ArmControl, name: str) -> Held:
@@ -184,10 +189,19 @@ def _held(control: ArmControl, name: str) -> Held:
     return Held(name, *compose(*back, *pose))
 
 
+def _has_hold(control: ArmControl) -> bool:
+    """Whether the pads are still as far apart as what they closed on."""
+    return abs(control.opening_m() - control.held_width_m) <= _GRIP_CHANGE_M
+
+
 def _require_hold(control: ArmControl, name: str) -> None:
-    if control.opening_m() < _LEAST_GAP_M:
+    if not _has_hold(control):
         control.held = None
-        raise MotionFailed("object_lost", f"{name} is no longer between the fingers")
+        raise MotionFailed(
+            "object_lost",
+            f"{name} is no longer between the fingers: they went from {1e3 * control.held_width_m:.0f} "
+            f"to {1e3 * control.opening_m():.0f} mm",
+        )
 
 
 def carry(control: ArmControl, motion: Motion) -> Script:
@@ -210,15 +224,16 @@ def carry(control: ArmControl, motion: Motion) -> Script:
     if control.around.pose(name) is not None:
         control.held = _held(control, name)
     goal, yaw = aim(True)
-    yield from control.go_straight(
+    down = control.go_straight(
         goal + np.array([0.0, 0.0, params.place_gap_m]),
         yaw,
         params.near_speed_m_per_s,
         opening_m=control.opening_m(),
     )
-    _require_hold(control, name)
-    yield from _lower(control, goal, yaw)
-    _require_hold(control, name)
+    for script in (down, _lower(control, goal, yaw)):
+        for _ in script:
+            _require_hold(control, name)
+            yield
 
 
 def _beneath(control: ArmControl, name: str) -> list[str]:
@@ -279,8 +294,7 @@ def _carry_above(
                 continue
             yield
             for _ in script:
-                if control.opening_m() < _LEAST_GAP_M:
-                    _require_hold(control, name)
+                _require_hold(control, name)
                 yield
             return aim
     assert failure is not None

@@ -6,6 +6,7 @@ high for the arm, it goes around.
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -162,7 +163,7 @@ def ways_over(
                 continue
             vias.insert(1, middle + sideways_m * aside)
         corners = [start_xyz_m]
-        for leg, (one, other) in enumerate(zip(vias[:-1], vias[1:], strict=True)):
+        for leg, (one, other) in enumerate(pairwise(vias)):
             top, _ = height_over(one, other, things, radius_m)
             level = top + clearance_m + below_m + extra_m if top > 0.0 else extra_m
             begin = max(level, start_xyz_m[2]) if leg == 0 else level

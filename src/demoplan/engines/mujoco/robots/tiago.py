@@ -1,7 +1,7 @@
 """TIAGo with one or two arms, each with a parallel gripper, behind a table.
 
-Arms are driven by position actuators, with gravity compensation and the joints' own limits of torque and speed;
-the base stands, the torso is raised by a fixed height.
+Arms are driven by position actuators with gravity compensation, within the joints' own limits of speed; the
+base stands, the torso is raised by a fixed height.
 """
 
 from dataclasses import dataclass
@@ -142,10 +142,10 @@ def _joints(prefix: str) -> list[str]:
 
 _POSTURES: dict[str, tuple[float, ...]] = {
     "arm_": (1.03, 0.71, -0.80, 1.94, 0.66, -0.75, 0.81),
-    "arm_right_": (0.3, 0.3, 0.9, 1.9, -1.2, 0.6, 0.0),
-    "arm_left_": (0.3, 0.3, 0.9, 1.9, -1.2, 0.6, 0.0),
+    "arm_right_": (1.06, -0.20, 1.70, 1.73, 0.18, -1.40, -0.37),
+    "arm_left_": (1.06, -0.20, 1.70, 1.73, 0.18, -1.40, -0.37),
 }
-"""Postures with the grasp above the table's middle from which most of the table can be reached, found by search."""
+"""Postures, the grasp above the table, from which most of it can be reached; found by search."""
 
 
 class TiagoArm:

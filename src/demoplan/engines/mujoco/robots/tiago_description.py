@@ -1,8 +1,8 @@
 """TIAGo's description, as an installed package has it, made fit for a table-top scene.
 
-The description comes from the package ``example-robot-data`` (its TIAGo is PAL Robotics', Apache-2.0). Wheels,
-sensors and hands are left out; torso lift and head are fixed; zero inertias are mended; meshes are for the eye,
-and capsules fitted to them for contacts.
+It comes from the package ``example-robot-data`` (its TIAGo is PAL Robotics', Apache-2.0). Wheels, sensors and
+hands are left out; torso lift and head are fixed; zero inertias are mended; meshes are for the eye, and
+capsules fitted to them for contacts.
 """
 
 import xml.etree.ElementTree as ET
@@ -71,11 +71,14 @@ def load_tiago(urdf: str, torso_lift_m: float, head_tilt_rad: float = -0.7) -> m
             link.remove(collision)
         for visual in link.findall("visual"):
             mesh = visual.find("geometry/mesh")
-            if mesh is None or not mesh.get("filename", "").endswith(".stl"):
-                link.remove(visual)
-            else:
+            if mesh is None:
+                continue
+            if mesh.get("filename", "").endswith(".stl"):
                 inside = mesh.get("filename", "").removeprefix("package://")
                 mesh.set("filename", str(share / inside))
+            else:
+                # MuJoCo does not read Collada.
+                link.remove(visual)
         inertia = link.find("inertial/inertia")
         if (
             inertia is not None

@@ -1,0 +1,76 @@
+import numpy as np
+import pytest
+
+pytest.importorskip("mujoco")
+pytest.importorskip("mink", reason="needs the extra 'robot'")
+
+from demoplan.engines.mujoco.robots import tiago_description
+from demoplan.engines.mujoco.scene import cube_names
+from demoplan.engines.mujoco.scene_spec import ObjectSpec, SceneSpec, random_scene
+from demoplan.engines.mujoco.session import Motion, open_session
+from demoplan.errors import SimulationError
+
+RIGHT = "Right_hand"
+
+
+@pytest.fixture(scope="module", autouse=True)
+def described():
+    try:
+        tiago_description.description_path("tiago_no_hand.urdf")
+    except SimulationError:
+        pytest.skip("needs the extra 'robot'")
+
+
+@pytest.mark.parametrize("seed", [1, 9])
+def test_tiago_puts_a_cube_on_another_without_touching_anything_else(stacker, seed):
+    session = open_session(random_scene(cube_names(4), seed=seed), "tiago", seed=seed)
+    for cube, support in (("cube_red", "cube_blue"), ("cube_green", "cube_red")):
+        reports = stacker.stack(session, RIGHT, cube, support)
+        assert [report.state for report in reports] == ["succeeded"] * 5
+        assert sum(report.n_collisions for report in reports) == 0
+        assert max(report.tracking_error_m for report in reports) < 0.02
+        assert session.is_resting_on(cube, support)
+
+
+def test_tiago_does_the_same_twice_bit_for_bit(stacker):
+    runs = []
+    for _ in range(2):
+        session = open_session(random_scene(cube_names(3), seed=2), "tiago", seed=2)
+        stacker.stack(session, RIGHT, "cube_red", "cube_blue", n=3)
+        runs.append(session.true_frames())
+    assert runs[0].equals(runs[1])
+
+
+def test_what_tiago_cannot_reach_it_says_before_moving():
+    scene = SceneSpec(
+        objects=(ObjectSpec(name="far", position_xyz_m=(0.37, 0.45, 0.025)),),
+        table_size_xyz_m=(0.8, 1.0, 0.04),
+    )
+    session = open_session(scene, "tiago", seed=0)
+    assert session.can_reach(RIGHT, (0.05, 0.0, 0.05)) is None
+    assert "cannot hold its hand upright" in session.can_reach(RIGHT, (0.37, 0.45, 0.05))
+    session.advance(0.2)
+    report = session.start(RIGHT, Motion(activity="Reach", skill="reach", object="far"))
+    assert (report.state, report.problem) == ("blocked", "out_of_reach")
+    assert report.ended_ns == report.started_ns
+
+
+def test_a_missing_description_is_named_with_what_to_install(monkeypatch):
+    monkeypatch.setattr(tiago_description, "PACKAGE", "no-such-package")
+    with pytest.raises(SimulationError, match="extra 'robot'"):
+        tiago_description.description_path("tiago_no_hand.urdf")
+
+
+def test_the_arms_encoders_agree_with_inverse_kinematics():
+    session = open_session(random_scene(cube_names(2), seed=0), "tiago", seed=0)
+    control = session.others_of("")[0]
+    arm = control.arm
+    start = arm.commanded()
+    goal = control.position_xyz_m() + np.array([0.05, 0.02, -0.05])
+    way = np.linspace(control.position_xyz_m(), goal, 10)
+    found = arm.configurations(start, way, np.full(10, arm.rest_yaw_rad))
+    for _ in range(100):
+        arm.command(session.data, found[-1], 0.0)
+        session.advance(0.01)
+        arm.command(session.data, found[-1], 0.0)
+    assert np.linalg.norm(control.position_xyz_m() - goal) < 0.003
