@@ -1,0 +1,110 @@
+"""Results as Prefect artifacts: for the person who looks in the morning."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from urllib.parse import quote
+
+import polars as pl
+from prefect.artifacts import (
+    acreate_link_artifact,
+    acreate_markdown_artifact,
+    acreate_table_artifact,
+)
+
+from demoplan.language.diff import Change
+from demoplan.pipeline.study import Tried
+from demoplan.pipeline.versions import NewVersion
+from demoplan.store import EpisodeState, Store
+
+MOST_ROWS = 1000
+"""Rows of a table that go into an artifact: it is kept in Prefect's database."""
+
+
+def key_of(*parts: str) -> str:
+    """A name that Prefect takes for an artifact: lower-case letters, digits and dashes.
+
+    >>> key_of("Episodes", "cube_stacking")
+    'episodes-cube-stacking'
+    """
+    text = "-".join(parts).lower()
+    return "-".join("".join(c if c.isascii() and c.isalnum() else " " for c in text).split())
+
+
+async def show_episodes(dataset: str, states: Sequence[EpisodeState]) -> None:
+    """What became of each episode; those that lost data first."""
+    ordered = sorted(states, key=lambda s: (s.status == "complete", s.episode_id))
+    await acreate_table_artifact(
+        key=key_of("episodes", dataset),
+        description=f"{len(states)} episodes, {sum(s.status != 'complete' for s in states)} with data lost",
+        table=[
+            {"episode": s.episode_id, "status": s.status, "reason": s.reason or ""}
+            for s in ordered[:MOST_ROWS]
+        ],
+    )
+
+
+async def show_version(dataset: str, version: NewVersion) -> None:
+    """What the new version of a domain says otherwise than the one before."""
+    await acreate_markdown_artifact(
+        key=key_of("domain-diff", dataset), markdown=diff_text(dataset, version), description="Domain diff"
+    )
+
+
+def diff_text(dataset: str, version: NewVersion) -> str:
+    """The difference of two domain versions as Markdown."""
+    now = version.learned.version
+    n_episodes = len(now.episodes)
+    head = f"# {dataset}: domain `{now.domain_id}`\n\n{now.n_operators} operators from {n_episodes} episodes."
+    if version.previous is None:
+        return f"{head}\n\nThe first version.\n"
+    return f"{head}\n\n{changes_text(version.previous.version.domain_id, version.changes)}"
+
+
+def changes_text(previous_id: str, changes: Sequence[Change]) -> str:
+    """Differences as a list in Markdown."""
+    if not changes:
+        return f"It says the same as `{previous_id}`.\n"
+    lines = "\n".join(f"- {_escaped(str(change))}" for change in changes[:MOST_ROWS])
+    return f"{len(changes)} differences from `{previous_id}`:\n\n{lines}\n"
+
+
+async def show_success(dataset: str, tried: Sequence[Tried]) -> None:
+    """Domain × goal: which are solved, and why the others are not."""
+    await acreate_table_artifact(
+        key=key_of("success", dataset), table=success_matrix(tried), description=f"{dataset}: domain × goal"
+    )
+
+
+def success_matrix(tried: Sequence[Tried]) -> list[dict[str, str]]:
+    """One row per domain, one column per goal."""
+    rows: dict[str, dict[str, str]] = {}
+    for each in tried:
+        row = rows.setdefault(each.trial.domain, {"domain": each.trial.domain})
+        row[each.trial.goal] = each.trial.cause or "solved"
+    return [rows[name] for name in sorted(rows)]
+
+
+async def show_stale(rows: pl.DataFrame, cost_s: float) -> None:
+    """What is stale, and why."""
+    shown = rows.head(MOST_ROWS).with_columns(pl.col("reason").cast(pl.String))
+    await acreate_table_artifact(
+        key="stale", table=shown.to_dicts(), description=f"{rows.height} stage runs, about {cost_s:.0f} s"
+    )
+
+
+async def show_links(store: Store, dataset: str, report: Path | None) -> None:
+    """Where the report and the recordings are."""
+    if report is not None:
+        await acreate_link_artifact(
+            key=key_of("report", dataset), link=report.resolve().as_uri(), link_text=report.name
+        )
+    recordings = sorted((store.root / "recordings" / dataset).glob("*.rrd"))[:MOST_ROWS]
+    if recordings:
+        lines = [f"- [{path.stem}](file://{quote(str(path.resolve()))})" for path in recordings]
+        await acreate_markdown_artifact(
+            key=key_of("recordings", dataset), markdown="\n".join(lines), description="Recordings for rerun"
+        )
+
+
+def _escaped(text: str) -> str:
+    return "".join(f"\\{c}" if c in "\\`*_<>[]#|" else c for c in text)
