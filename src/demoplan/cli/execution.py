@@ -76,7 +76,7 @@ def execute(
     store: StoreOption = DEFAULT_STORE,
     as_json: JsonOption = False,
 ) -> None:
-    """Plan, and let a simulated robot do it, watched and replanned. Exit code 1 if the goal is not reached."""
+    """Plan, and let a simulated robot do it, watched and replanned. Exit code 1 if the goal is missed."""
     from demoplan.engines.mujoco.scene_spec import read_scene
     from demoplan.engines.mujoco.session import open_session
     from demoplan.pipeline.evaluate import GoalCase, scene_of
@@ -125,16 +125,16 @@ def execute(
             ],
         )
         stdout.print(
-            f"{row['outcome']}; by physics the goal is {'' if row['is_goal_reached'] else 'not '}reached, after "
+            f"{row['outcome']}; by physics the goal is {'' if row['is_goal_reached'] else 'not '}reached; "
             f"{row['simulated_s']:.1f} simulated seconds, {row['n_steps']} steps, {row['n_plans']} plans",
             markup=False,
         )
     if row["reason"]:
         say(row["reason"])
     if view is not None:
-        from demoplan.pipeline.viewing import record_run
+        from demoplan.pipeline.run_views import record_run
 
-        record_run(done, spec, vocabulary, view)
+        record_run(done.frames, done.steps, spec, vocabulary, view)
         say(f"recording written to {view}")
     raise typer.Exit(int(Exit.FINE if row["is_goal_reached"] else Exit.FAILED))
 
@@ -200,13 +200,13 @@ def evaluate(
         for (outcome,), part in result.runs.group_by("outcome", maintain_order=True):
             say(f"{outcome}: {part.height} runs")
     if report is not None:
-        from demoplan.pipeline.execution_report import execution_report
+        from demoplan.pipeline.run_views import execution_report
         from demoplan.store.atomic import write_bytes
 
         write_bytes(report, execution_report(result, title=f"{robot}: {goals.stem}").encode())
         say(f"report: {report}")
     if views is not None:
-        from demoplan.pipeline.viewing import record_runs
+        from demoplan.pipeline.run_views import record_runs
 
         record_runs(opened, result, vocabulary, views)
         say(f"recordings written to {views}")

@@ -459,8 +459,12 @@ class Executor:
         self._gone |= self._gone_objects()
         # What is in the way may go away: each time it is given longer.
         self._pause_s = self.params.patience_s * n_equal if found.failure == "motion" else 0.0
-        if report is not None and report.problem == "still_holding" and running is not None:
-            self._let_go = running.bound.hand
+        if running is not None and report is not None:
+            bound = running.bound
+            in_hand = Atom(self.params.holding, (bound.hand, bound.motion.object or ""))
+            is_lost = in_hand in running.before.held and in_hand not in self.senses.look().held
+            if report.problem == "still_holding" or (is_lost and report.state != "succeeded"):
+                self._let_go, self._pause_s = bound.hand, 0.0
         raise _Replan
 
     def _again(self, deviation: Deviation, running: _Running | None) -> Deviation:

@@ -218,7 +218,9 @@ def _literal(text: str) -> Literal:
     bare = text.strip()
     is_positive = not bare.startswith("not ")
     bare = bare if is_positive else bare[4:].strip().removeprefix("(").removesuffix(")")
-    predicate, _, names = bare.removesuffix(")").partition("(")
+    predicate, bracket, names = bare.removesuffix(")").partition("(")
+    if not bracket:
+        raise PddlError(f"not an atom: {text!r}; expected predicate(?variable, …), as in clear(?to)")
     plain = Atom.parse(f"{predicate}({names.replace('?', '')})")
     arguments = tuple(part.strip() for part in names.split(",")) if names.strip() else ()
     return Literal(Atom(plain.predicate, arguments), is_positive)

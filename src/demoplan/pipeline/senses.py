@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import polars as pl
 
+from demoplan.engines.mujoco.scene_spec import SceneSpec
 from demoplan.engines.mujoco.session import Session
 from demoplan.language.atoms import Atom
 from demoplan.language.vocabulary import Vocabulary
@@ -50,7 +51,7 @@ class Senses:
     def __init__(self, session: Session, vocabulary: Vocabulary, params: SenseParams = SenseParams()) -> None:
         """Look at ``session`` with the words of ``vocabulary``."""
         self.session, self.vocabulary, self.params = session, vocabulary, params
-        self.entities = entities_of_scene(session, params)
+        self.entities = entities_of_scene(session.scene, session.hands, params)
         self.type_of = {name: entity.type for name, entity in self.entities.items()}
         self.misreadings: list[Misreading] = []
         self._last: SensedState | None = None
@@ -102,12 +103,14 @@ class Senses:
         return sensed_state(facts, instant_ns, self.params.monitoring)
 
 
-def entities_of_scene(session: Session, params: SenseParams = SenseParams()) -> dict[str, Entity]:
-    """Type and shape of everything in a session: hands, objects, the table."""
-    entities = {hand: Entity(type=params.hand_type) for hand in session.hands}
-    for each in session.scene.objects:
+def entities_of_scene(
+    scene: SceneSpec, hands: tuple[str, ...], params: SenseParams = SenseParams()
+) -> dict[str, Entity]:
+    """Type and shape of everything in a scene: hands, objects, the table."""
+    entities = {hand: Entity(type=params.hand_type) for hand in hands}
+    for each in scene.objects:
         entities[each.name] = Entity(type=each.type, shape=Box(kind=each.kind, size_xyz_m=each.size_xyz_m))
-    depth, width, thickness = session.scene.table_size_xyz_m
+    depth, width, thickness = scene.table_size_xyz_m
     entities[TABLE] = Entity(
         type=params.table_type,
         shape=Box(size_xyz_m=(depth, width, thickness), centre_xyz_m=(0.0, 0.0, -thickness / 2)),

@@ -159,7 +159,7 @@ def diagnose(case: Case, params: DiagnoseParams = DiagnoseParams()) -> Diagnosis
         if case.n_good_before > case.n_alike_before:
             return Diagnosis(
                 failure="perception",
-                cause=f"{_listed(case.literals)}: hand and object are where they should be, and the same step "
+                cause=f"{_listed(case.literals)}: hand and object are where they should be, and the step "
                 f"has shown it {case.n_good_before} times before",
             )
         again = f", {case.n_alike_before + 1} times now" if case.n_alike_before else ""
