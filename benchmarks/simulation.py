@@ -1,7 +1,7 @@
 """How fast and how surely robots stack: python benchmarks/simulation.py [ROBOT …] [--seeds N].
 
-Each seed draws a layout of four cubes and builds a tower of three. Time is processor time of one core: physics,
-controllers, path finding and sensing included, building the scene left out (it is given on its own).
+Each seed draws a layout of four cubes and builds a tower of three. Time is processor time of one core:
+physics, controllers, path finding and sensing included; building the scene is given on its own.
 """
 
 import argparse
@@ -21,8 +21,8 @@ TOWER = (("cube_red", "cube_blue"), ("cube_green", "cube_red"))
 def wilson(n_successes: int, n: int, z: float = 1.96) -> tuple[float, float]:
     """95 % interval of a share.
 
-    Source: E. B. Wilson, "Probable inference, the law of succession, and statistical inference", JASA 22(158),
-    1927, doi:10.1080/01621459.1927.10502953.
+    Source: E. B. Wilson, "Probable inference, the law of succession, and statistical inference", JASA
+    22(158), 1927, doi:10.1080/01621459.1927.10502953.
     """
     share = n_successes / n
     middle = (share + z * z / (2 * n)) / (1 + z * z / n)
@@ -81,9 +81,9 @@ def measure(robot: str, seeds: range) -> None:
     print(
         f"{robot}: {simulated_s / used_s:.0f} x real time per core ({simulated_s:.0f} s in {used_s:.1f} s), "
         f"opening a scene {1e3 * float(np.median(opened_s)):.0f} ms\n"
-        f"  stacks {n_good} of {n} ({100 * n_good / n:.1f} %, 95 % interval {100 * low:.1f} to {100 * high:.1f} %), "
-        f"towers of three {n_towers} of {len(seeds)}, "
-        f"off by {np.median(offsets_mm):.2f} mm in the median, {max(offsets_mm):.2f} mm at most"
+        f"  stacks {n_good} of {n} ({100 * n_good / n:.1f} %; 95 % interval {100 * low:.1f} to {100 * high:.1f}), "
+        f"towers of three {n_towers} of {len(seeds)}\n"
+        f"  off by {np.median(offsets_mm):.2f} mm in the median, {max(offsets_mm):.2f} mm at most"
     )
     for reason in reasons:
         print(f"  {reason}")

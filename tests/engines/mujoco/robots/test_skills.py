@@ -73,7 +73,7 @@ def test_a_letting_go_that_is_named_a_reach_is_carried_out_as_what_it_does():
 def test_what_cannot_be_resolved_is_named():
     table = read_skills()
     step = Step("op_1", ("Right_hand", "red"))
-    with pytest.raises(UnknownNameError, match="skill for activity 'Pour'.*Idle, Put, Reach"):
+    with pytest.raises(UnknownNameError, match=r"skill for activity 'Pour'.*Idle, Put, Reach"):
         motion_of(step, domain_of("Pour", [], ["handOpen(?h)"], HAND_AND_CUBE), table)
     with pytest.raises(UsageError, match="'grasp' lacks its object"):
         motion_of(step, domain_of("Take", [], ["handOpen(?h)"], HAND_AND_CUBE), table)

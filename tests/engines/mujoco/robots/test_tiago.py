@@ -74,3 +74,29 @@ def test_the_arms_encoders_agree_with_inverse_kinematics():
         session.advance(0.01)
         arm.command(session.data, found[-1], 0.0)
     assert np.linalg.norm(control.position_xyz_m() - goal) < 0.003
+
+
+def test_two_arms_stack_at_the_same_time_and_neither_reaches_everywhere(stacker):
+    scene = SceneSpec(
+        objects=(
+            ObjectSpec(name="cube_red", position_xyz_m=(0.0, -0.25, 0.025)),
+            ObjectSpec(name="cube_blue", position_xyz_m=(0.1, -0.15, 0.025)),
+            ObjectSpec(name="cube_green", position_xyz_m=(0.0, 0.25, 0.025)),
+            ObjectSpec(name="cube_yellow", position_xyz_m=(0.1, 0.15, 0.025)),
+        )
+    )
+    session = open_session(scene, "tiago_dual", seed=0)
+    assert session.can_reach(RIGHT, (0.0, -0.2, 0.03)) is None
+    assert session.can_reach(RIGHT, (0.0, 0.25, 0.03)) is not None
+    assert session.can_reach("Left_hand", (0.0, 0.2, 0.03)) is None
+    left = stacker.motions("cube_green", "cube_yellow")
+    right = stacker.motions("cube_red", "cube_blue")
+    for one, other in zip(left, right, strict=True):
+        session.start("Left_hand", one)
+        session.start(RIGHT, other)
+        while "running" in {session.report(hand).state for hand in session.hands}:
+            session.advance(0.05)
+        assert {session.report(hand).state for hand in session.hands} == {"succeeded"}
+    session.advance(0.2)
+    assert session.is_resting_on("cube_red", "cube_blue")
+    assert session.is_resting_on("cube_green", "cube_yellow")

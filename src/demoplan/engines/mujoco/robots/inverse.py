@@ -120,7 +120,7 @@ class Inverse:
         if len(rows) == 1:
             return np.repeat(np.array(solved), len(at), axis=0)
         spline = CubicSpline(at[rows], np.array(solved), axis=0)
-        return np.clip(spline(at), self._low, self._high)
+        return np.asarray(np.clip(spline(at), self._low, self._high))
 
     def anywhere(self, position_xyz_m: Array, yaw_rad: float, seed: int = 0) -> Array | None:
         """A configuration for a pose, from the comfortable posture or from random ones."""

@@ -27,9 +27,11 @@ def make_robot(name: str) -> Robot:
 def _make_tiago(hands: tuple[str, ...]) -> Robot:
     # TIAGo wants packages that the light robot does without.
     try:
-        from demoplan.engines.mujoco.robots.tiago import TiagoRobot  # noqa: PLC0415
+        from demoplan.engines.mujoco.robots.tiago import DUAL_BASE_XY_M, TiagoParams, TiagoRobot  # noqa: PLC0415
     except ModuleNotFoundError as error:
         raise SimulationError(
             f"TIAGo needs {error.name}: install demoplan with the extra 'robot', or use the robot 'gripper'"
         ) from None
-    return TiagoRobot(hands)
+    if len(hands) == 1:
+        return TiagoRobot(hands)
+    return TiagoRobot(hands, TiagoParams(base_xy_m=DUAL_BASE_XY_M))

@@ -212,8 +212,9 @@ def carry(control: ArmControl, motion: Motion) -> Script:
     _require_hold(control, name)
     support = motion.support or "table"
     control.may_touch = frozenset([name, support])
-    if not control.around.is_surface(support):
-        yield from _look(control, support)
+    seen = [name] if control.around.is_surface(support) else [name, support]
+    for each in seen:
+        yield from _look(control, each)
     lift_from = _beneath(control, name)
     control.may_touch |= frozenset(lift_from)
     offset = control.placing_offset.pop(0) if control.placing_offset else np.zeros(3)
@@ -221,8 +222,9 @@ def carry(control: ArmControl, motion: Motion) -> Script:
     # Seen again at rest: how does it lie in the hand now, and where is the support?
     yield from control.wait(params.settle_s)
     _require_hold(control, name)
-    if control.around.pose(name) is not None:
-        control.held = _held(control, name)
+    for each in seen:
+        yield from _look(control, each)
+    control.held = _held(control, name)
     goal, yaw = aim(True)
     down = control.go_straight(
         goal + np.array([0.0, 0.0, params.place_gap_m]),
@@ -352,6 +354,7 @@ def lift(control: ArmControl, motion: Motion) -> Script:
     if control.held is None or control.held.object != name:
         raise MotionFailed("not_holding", f"{control.arm.hand} does not hold {name}", is_blocked=True)
     _require_hold(control, name)
+    yield from _look(control, name)
     control.may_touch = frozenset([name, *_beneath(control, name)])
     goal = control.start_xyz_m() + np.array([0.0, 0.0, params.approach_m])
     yield from control.go_straight(

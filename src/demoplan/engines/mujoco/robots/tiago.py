@@ -17,6 +17,9 @@ from demoplan.engines.mujoco.robots.tiago_description import load_tiago, set_con
 from demoplan.errors import SimulationError
 from demoplan.geometry import Array
 
+DUAL_BASE_XY_M = (-0.45, 0.0)
+"""With two arms, whose shoulders are farther back, it stands nearer."""
+
 _N_JOINTS = 7
 _PREFIX = "tiago/"
 JOINT_SPEEDS_RAD_PER_S = (2.7, 3.66, 4.58, 4.58, 1.95, 1.76, 1.76)
