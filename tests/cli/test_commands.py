@@ -240,3 +240,12 @@ def test_a_condition_with_an_unknown_column_is_refused(store):
     folder, _ = store
     ended = demoplan("reprocess", "--where", "colour = 1", "--store", folder / "store")
     assert (ended.returncode, "columns: dataset" in ended.stderr) == (2, True)
+
+
+def test_doctor_looks_at_a_log_or_at_the_machine(tmp_path):
+    assert demoplan("doctor").returncode == 2
+    assert demoplan("doctor", "a.mcap", "--environment").returncode == 2
+    ended = demoplan("doctor", "--environment", "--json", "--store", tmp_path)
+    assert ended.returncode in (0, 1), ended.stderr
+    parts = {finding["subject"] for finding in json.loads(ended.stdout)}
+    assert {"planner", "drawing", "versions", "database", "telemetry", "store"} <= parts

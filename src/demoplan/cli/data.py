@@ -146,13 +146,22 @@ def _write(table: pl.DataFrame, output: Path) -> None:
 
 
 def doctor(
-    log: Annotated[Path, typer.Argument(help="A log: .mcap, .bag, .db3, or a rosbag2 folder.")],
+    log: Annotated[Path | None, typer.Argument(help="A log: .mcap, .bag, .db3, or a rosbag2 folder.")] = None,
     dataset: Annotated[
         Path | None, typer.Option("--dataset", "-d", help="Check it against this dataset's mapping too.")
     ] = None,
+    environment: Annotated[
+        bool,
+        typer.Option("--environment", help="Say what of this machine stands in the way: planner, drawing, …"),
+    ] = False,
+    store: StoreOption = DEFAULT_STORE,
     as_json: JsonOption = False,
 ) -> None:
-    """Say what is in a log, and what is wrong with it: rates, gaps, clocks, types, frames."""
+    """Say what is in a log, and what is wrong with it; or, with --environment, what is wrong here."""
+    if environment == (log is not None):
+        raise UsageError("doctor looks at a log or at the machine: give LOG, or --environment")
+    if log is None:
+        raise typer.Exit(int(_examine(store, as_json=as_json)))
     from demoplan.cli.log_report import exit_code_of, show_log_report
     from demoplan.logs import inspect
     from demoplan.manifests.dataset import parse_dataset
@@ -168,6 +177,26 @@ def doctor(
     else:
         show_log_report(report)
     raise typer.Exit(int(exit_code_of(report)))
+
+
+def _examine(store: Path, *, as_json: bool) -> Exit:
+    """Print what of this machine stands in the way."""
+    from dataclasses import asdict
+
+    from demoplan.pipeline.environment import CHECKS, Machine
+    from demoplan.pipeline.environment import examine as examine_all
+
+    with progress("examine", len(CHECKS)) as done:
+        findings = examine_all(Machine(environment=os.environ, store=store.absolute()), done)
+    if as_json:
+        print_json([asdict(finding) for finding in findings])
+    else:
+        print_table(
+            "this machine",
+            ["part", "", "finding", "remedy"],
+            [(f.subject, f.severity, f.sentence, f.remedy) for f in findings],
+        )
+    return Exit.FAILED if any(f.severity == "error" for f in findings) else Exit.FINE
 
 
 def view(
