@@ -290,6 +290,12 @@ class Executor:
                 self._ended.add(index)
                 return
             deviation = before_step(lasting, sensed)
+            # What the step before has done may not have been seen yet: sensing lags.
+            end_ns = self.session.time_ns + round(self.params.lag_s * 1e9)
+            while deviation.is_alarming and self.session.time_ns < end_ns:
+                self._advance(self.params.poll_s)
+                sensed = self.senses.look()
+                deviation = before_step(lasting, sensed)
             if deviation.is_alarming:
                 row["unmet"] = [str(each) for each in (*deviation.unmet, *deviation.unobserved)]
                 self._discrepancy(deviation, _Running(index, bound, sensed, self.session.time_ns, row), None)

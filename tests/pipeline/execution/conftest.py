@@ -198,6 +198,7 @@ class KinematicSession:
     def inject(self, fault):
         self.injected.append((self.time_ns, fault))
         if isinstance(fault, ObjectMoved):
+            self._held = {hand: None if name == fault.object else name for hand, name in self._held.items()}
             self._place[fault.object] = np.array(fault.position_xyz_m)
         elif isinstance(fault, ObjectRemoved):
             self._gone.add(fault.object)
