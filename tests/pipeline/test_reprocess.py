@@ -2,15 +2,17 @@
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from demoplan.errors import UsageError
-from demoplan.pipeline.datasets import open_dataset, reopen
+from demoplan.pipeline.datasets import open_dataset, recall, reopen
 from demoplan.pipeline.reprocess import reprocess
 from demoplan.pipeline.run import run
 from demoplan.pipeline.staleness import find_stale, selected, total_cost_s
+from demoplan.pipeline.versions import learn_version
 from demoplan.store import Store
 
 CHECKOUT = Path(__file__).resolve().parents[2]
@@ -289,3 +291,34 @@ def test_a_new_episode_is_found_and_costs_what_such_stages_take(lab):
     reprocess(store, plan, plan.rows)
     assert find_stale(store).rows.is_empty()
     assert "transitions" in store.manifest.episode("added").tables
+
+
+def test_what_a_store_remembers_is_the_same_with_and_without_its_parsed_form(lab):
+    folder, store = lab
+    kept = store.root / "datasets/small.json"
+    quick = recall(store, "small")
+    content = json.loads(kept.read_text())
+    del content["parsed"]
+    kept.write_text(json.dumps(content))
+    assert recall(store, "small") == quick == reopen(store, "small")
+    closer(folder)
+    assert reopen(store, "small").vocabulary != quick.vocabulary
+
+
+def test_learning_again_adds_no_version_until_the_evidence_changes(lab):
+    _, store = lab
+    opened = reopen(store, "small")
+    method = "decision_tree" if is_trained(store) else "rules"
+    same = learn_version(opened, store, segmenter=method)
+    assert (same.is_new, same.changes) == (False, ())
+    one = replace(
+        opened,
+        dataset=opened.dataset.model_copy(update={"episodes": opened.dataset.episodes[:1], "name": "alone"}),
+    )
+    first = learn_version(one, store, segmenter="rules")
+    assert (first.is_new, first.previous, first.changes) == (True, None, ())
+    more = replace(one, dataset=one.dataset.model_copy(update={"episodes": opened.dataset.episodes[:2]}))
+    second = learn_version(more, store, segmenter="rules")
+    assert second.previous.version.domain_id == first.learned.version.domain_id
+    assert second.learned.version.parent == first.learned.version.domain_id
+    assert second.changes, "counts at least differ"

@@ -121,6 +121,7 @@ def remember(opened: OpenDataset, store: Store, *, segmenter: str | None = None)
         "folder": str(opened.folder),
         "root": str(opened.root),
         "manifest": opened.manifest_text,
+        "parsed": opened.dataset.model_dump_json(),
         "vocabulary": opened.vocabulary_text,
     }
     write_bytes(
@@ -158,6 +159,10 @@ def reopen(store: Store, name: str, environment: Mapping[str, str] | None = None
     kept = recall(store, name)
     if not (kept.folder / MANIFEST_NAME).is_file():
         return kept
+    texts = _text(kept.folder / MANIFEST_NAME), _text(kept.folder / kept.dataset.vocabulary)
+    if texts == (kept.manifest_text, kept.vocabulary_text):
+        named = (environment or {}).get(kept.dataset.root_variable or "")
+        return replace(kept, root=Path(named)) if named else kept
     # Any folder serves as root while the manifest is read: the logs may be on a disk that is away.
     opened = open_dataset(kept.folder, root=kept.folder)
     named = (environment or {}).get(opened.dataset.root_variable or "")
@@ -178,7 +183,7 @@ def recall(store: Store, name: str) -> OpenDataset:
     try:
         kept = json.loads(path.read_text(encoding="utf-8"))
         folder = Path(kept["folder"])
-        dataset = parse_dataset(kept["manifest"], folder / MANIFEST_NAME)
+        dataset = _parsed(kept, folder)
         vocabulary = parse_vocabulary(kept["vocabulary"], folder / dataset.vocabulary)
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise StoreError(f"{path}: cannot be read: {error}; ingest the dataset again") from None
@@ -190,6 +195,14 @@ def recall(store: Store, name: str) -> OpenDataset:
         manifest_text=kept["manifest"],
         vocabulary_text=kept["vocabulary"],
     )
+
+
+def _parsed(kept: Mapping[str, str], folder: Path) -> Dataset:
+    """The dataset that a kept text says: from its parsed form, since YAML of many episodes takes long."""
+    try:
+        return Dataset.model_validate_json(kept["parsed"])
+    except (KeyError, ValueError):  # kept before there was one, or by another version
+        return parse_dataset(kept["manifest"], folder / MANIFEST_NAME)
 
 
 def _text(path: Path) -> str:

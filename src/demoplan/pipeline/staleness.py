@@ -112,7 +112,7 @@ def find_stale(
         except (ManifestError, UsageError) as error:
             rows.append(_row(name, "read", ("blocked", str(error)), None))
             continue
-        plan, found = _DatasetWalk(store, opened).walk()
+        plan, found = _DatasetWalk(store, opened, recall(store, name)).walk()
         datasets[name] = plan
         rows += found
         on_done(name)
@@ -173,6 +173,8 @@ class _DatasetWalk:
 
     store: Store
     opened: OpenDataset
+    known: OpenDataset
+    """The dataset as the store last saw it."""
 
     def __post_init__(self) -> None:
         self.name = self.opened.dataset.name
@@ -180,7 +182,7 @@ class _DatasetWalk:
         self.rows: list[dict[str, object]] = []
         everything = self.store.manifest.episodes()
         self.states = {s.episode_id: s for s in everything if s.dataset == self.name}
-        self.described = {e.id: e for e in recall(self.store, self.name).dataset.episodes}
+        self.described = {e.id: e for e in self.known.dataset.episodes}
 
     def walk(self) -> tuple[DatasetPlan, list[dict[str, object]]]:
         segmenter = segmenter_of(self.store, self.name)

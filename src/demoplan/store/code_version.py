@@ -10,6 +10,7 @@ from demoplan.ids import content_hash
 _PACKAGE = "demoplan"
 
 
+@functools.cache
 def code_version(*modules: str) -> str:
     """A hash over the syntax trees of modules and of all of demoplan that they import, directly or not.
 
