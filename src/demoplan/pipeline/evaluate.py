@@ -33,6 +33,7 @@ CODE = (
     "demoplan.pipeline.replanning",
     "demoplan.pipeline.senses",
     "demoplan.pipeline.faults",
+    "demoplan.pipeline.injecting",
     "demoplan.stages.monitor",
     "demoplan.stages.diagnose",
     "demoplan.stages.perceive",

@@ -69,10 +69,10 @@ def execute(
     fault_columns = {
         "fault": None if fault is None else fault.name,
         "fault_kind": None if fault is None else fault.kind,
-        "fault_class": executor.true_class,
+        "fault_class": executor.injector.true_class,
         "severity": None if fault is None else fault.severity,
         "is_recoverable": None if fault is None else fault.is_recoverable,
-        "is_fault_injected": executor.is_fault_injected,
+        "is_fault_injected": executor.injector.is_done,
     }
     run: dict[str, object] = {
         "run_id": run_id,

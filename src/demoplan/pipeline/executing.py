@@ -4,8 +4,6 @@ from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
-import numpy as np
-
 from demoplan.engines.fast_downward import SolveParams
 from demoplan.engines.mujoco.session import Motion, MotionReport, Session
 from demoplan.engines.mujoco.skills import SkillTable, motion_of, read_skills
@@ -17,17 +15,10 @@ from demoplan.language.execution import GroundOperator
 from demoplan.language.goals import parse_goal
 from demoplan.language.momentary import Momentary
 from demoplan.language.vocabulary import Vocabulary
-from demoplan.pipeline.faults import (
-    CLASS_OF_KIND,
-    AnyFault,
-    FlippedPredicateFault,
-    StalePredicateFault,
-    WrongLiteralFault,
-    changed_domain,
-    world_fault,
-)
+from demoplan.pipeline.faults import AnyFault, changed_domain
+from demoplan.pipeline.injecting import Injector
 from demoplan.pipeline.replanning import amended, emptied_hands, lifted_text, plan_from
-from demoplan.pipeline.senses import TABLE, Misreading, SenseParams, Senses
+from demoplan.pipeline.senses import TABLE, SenseParams, Senses
 from demoplan.stages.diagnose import Case, DiagnoseParams, Diagnosis, diagnose
 from demoplan.stages.monitor import (
     Deviation,
@@ -149,12 +140,7 @@ class Executor:
                     params.skills.activities,
                     f"skills table {params.skills.name!r}",
                 )
-        self.fault = fault
-        self.is_fault_injected = isinstance(fault, WrongLiteralFault)
-        self.true_class = None if fault is None else CLASS_OF_KIND[fault.kind]
-        self._rng = np.random.default_rng([seed, 0x0FA17])
-        self._due_ns: int | None = None
-        self._due_bound: Bound | None = None
+        self.injector = Injector(fault, session, self.senses, seed)
         self._n_started: Counter[str] = Counter()
         self._n_good: Counter[tuple[str, str]] = Counter()
         self._n_bad: Counter[tuple[str, tuple[str, ...]]] = Counter()
@@ -306,7 +292,9 @@ class Executor:
         row |= {"state": "executing", "start_ns": self.session.time_ns}
         running = _Running(index, bound, sensed, self.session.time_ns, row)
         self._n_started[bound.operator.activity] += 1
-        self._arm_fault(bound)
+        planned = frozenset(name for each in self._graph.steps for name in each.step.arguments)
+        number = self._n_started[bound.operator.activity]
+        self.injector.dispatched(bound.hand, bound.motion, number, lasting, planned)
         self.n_steps += 1
         self._running[bound.hand] = running
         self.session.start(bound.hand, bound.motion)
@@ -316,6 +304,7 @@ class Executor:
         running = self._running[hand]
         row, lasting = running.row, self._lasting[running.index]
         row["end_ns"] = self.session.time_ns
+        self.injector.ended(lasting)
         is_well = report is not None and report.state == "succeeded"
         if report is not None:
             row |= {
@@ -332,7 +321,6 @@ class Executor:
                 self._discrepancy(Deviation(missing=effects_of(lasting)), running, report)
             row["state"] = "succeeded"
         else:
-            self._misread(running)
             deviation = self._after(running)
             row["missing"] = [str(each) for each in (*deviation.missing, *deviation.unobserved)]
             row["extra"] = [str(each) for each in deviation.extra]
@@ -529,7 +517,7 @@ class Executor:
 
     def _name(self, failure: str) -> None:
         """Keep the class that was first named once the fault, if there is one, had happened."""
-        if self.diagnosed is None and (self.fault is None or self.is_fault_injected):
+        if self.diagnosed is None and (self.injector.fault is None or self.injector.is_done):
             self.diagnosed = failure
 
     def _gone_objects(self) -> set[str]:
@@ -611,75 +599,9 @@ class Executor:
         self._running = {}
         self.session.advance(self.params.lag_s)
 
-    # --- faults --------------------------------------------------------------------------------------------
-
-    def _arm_fault(self, bound: Bound) -> None:
-        fault = self.fault
-        if fault is None or isinstance(fault, WrongLiteralFault) or self._due_bound is not None:
-            return
-        at = fault.at
-        if bound.operator.activity == at.activity and self._n_started[at.activity] == at.occurrence:
-            self._due_bound = bound
-            self._due_ns = self.session.time_ns + round(at.delay_s * 1e9)
-            if isinstance(fault, FlippedPredicateFault | StalePredicateFault):
-                self._due_ns = None
-                if isinstance(fault, StalePredicateFault):
-                    self._misread_atoms(fault, self.senses.look().held, at_end=False)
-            elif at.delay_s == 0.0:
-                self._inject()
-
     def _advance(self, duration_s: float) -> None:
         self.session.advance(duration_s)
-        if self._due_ns is not None and self.session.time_ns >= self._due_ns:
-            self._inject()
-
-    def _inject(self) -> None:
-        self._due_ns = None
-        bound, fault = self._due_bound, self.fault
-        if bound is None or fault is None:
-            return
-        event = world_fault(
-            fault,
-            self.session,
-            hand=bound.hand,
-            thing=bound.motion.object,
-            support=bound.motion.support,
-            planned=frozenset(name for step in self._graph.steps for name in step.step.arguments),
-            rng=self._rng,
-        )
-        if event is not None:
-            self.session.inject(event)
-            self.is_fault_injected = True
-
-    def _misread(self, running: _Running) -> None:
-        """The step at which perception is to err has ended: it errs from now on."""
-        fault = self.fault
-        is_here = running.bound is self._due_bound and not self.is_fault_injected
-        if isinstance(fault, FlippedPredicateFault) and is_here:
-            self._misread_atoms(fault, frozenset(), at_end=True)
-
-    def _misread_atoms(
-        self, fault: FlippedPredicateFault | StalePredicateFault, held: frozenset[Atom], *, at_end: bool
-    ) -> None:
-        bound = self._due_bound
-        if bound is None:
-            return
-        running = next((each for each in self._running.values() if each.bound is bound), None)
-        step = self._lasting[running.index] if running else None
-        if step is None:
-            step = next(self._lasting[k] for k in range(len(self._lasting)) if self._bound(k) == bound)
-        atoms = frozenset(
-            effect.atom for effect in effects_of(step) if effect.atom.predicate == fault.predicate
-        )
-        if atoms:
-            self.senses.misreadings.append(
-                Misreading(
-                    atoms=atoms,
-                    until_ns=self.session.time_ns + round(fault.duration_s * 1e9),
-                    says=None if at_end else held & atoms,
-                )
-            )
-            self.is_fault_injected = True
+        self.injector.time_passed()
 
     # --- rows, and what is true ----------------------------------------------------------------------------
 
