@@ -31,7 +31,9 @@ class Atom:
         """
         match = _ATOM.fullmatch(text)
         if match is None:
-            raise PddlError(f"not an atom: {text!r}; expected predicate(name, …), as in onTop(cube_red, table)")
+            raise PddlError(
+                f"not an atom: {text!r}; expected predicate(name, …), as in onTop(cube_red, table)"
+            )
         names = tuple(name.strip() for name in match[2].split(",")) if match[2] else ()
         if any(not name for name in names):
             raise PddlError(f"empty argument in atom {text!r}")
