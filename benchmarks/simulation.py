@@ -79,9 +79,11 @@ def measure(robot: str, seeds: range) -> None:
         simulated_s += session.time_ns / 1e9
     low, high = wilson(n_good, n)
     print(
-        f"{robot}: {simulated_s / used_s:.0f} x real time per core ({simulated_s:.0f} s in {used_s:.1f} s), "
+        f"{robot}: {simulated_s / used_s:.0f} x real time per core "
+        f"({simulated_s:.0f} s in {used_s:.1f} s), "
         f"opening a scene {1e3 * float(np.median(opened_s)):.0f} ms\n"
         f"  stacks {n_good} of {n} ({100 * n_good / n:.1f} %; 95 % interval {100 * low:.1f} to {100 * high:.1f}), "
+        f""
         f"towers of three {n_towers} of {len(seeds)}\n"
         f"  off by {np.median(offsets_mm):.2f} mm in the median, {max(offsets_mm):.2f} mm at most"
     )

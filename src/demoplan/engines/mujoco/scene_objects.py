@@ -5,7 +5,7 @@ import numpy as np
 
 from demoplan.engines.mujoco.scene import COLOURS, Layout, SceneParams, build_scene
 from demoplan.engines.mujoco.scene_spec import ObjectSpec, SceneSpec
-from demoplan.errors import SimulationError, UsageError
+from demoplan.errors import SimulationError
 from demoplan.geometry import Array
 
 KINDS = {
@@ -30,13 +30,7 @@ def build_objects(scene: SceneSpec, params: SceneParams) -> mujoco.MjSpec:
     """Table and objects, as a specification to which a robot can still be added.
 
     Bodies, geoms and free joints are named as the objects.
-
-    Raises:
-        UsageError: If two objects share a name, or a size is not positive.
     """
-    if len(set(scene.names)) != len(scene.names):
-        twice = sorted({name for name in scene.names if scene.names.count(name) > 1})
-        raise UsageError(f"scene {scene.name!r}: these names stand for more than one object: {twice}")
     spec = build_scene(Layout(()), params)
     for each in scene.objects:
         _add_object(spec, each)
@@ -44,8 +38,6 @@ def build_objects(scene: SceneSpec, params: SceneParams) -> mujoco.MjSpec:
 
 
 def _add_object(spec: mujoco.MjSpec, each: ObjectSpec) -> None:
-    if min(each.size_xyz_m) <= 0.0:
-        raise UsageError(f"object {each.name!r}: size {each.size_xyz_m} m; every extent must be positive")
     body = spec.worldbody.add_body(
         name=each.name, pos=list(each.position_xyz_m), quat=list(each.orientation_wxyz)
     )

@@ -9,15 +9,19 @@ from pathlib import Path
 from typing import Literal, TypeAlias
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from demoplan.engines.mujoco.scene import TABLE, LayoutParams, SceneParams, draw_layout
-from demoplan.errors import UnknownNameError, UsageError
+from demoplan.errors import ManifestError, UnknownNameError, UsageError
+from demoplan.ids import is_safe_name
 from demoplan.manifests.loading import load_yaml
 
 ObjectKind: TypeAlias = Literal["box", "cylinder", "sphere"]
 Vector: TypeAlias = tuple[float, float, float]
 Quaternion: TypeAlias = tuple[float, float, float, float]
+
+RESERVED = frozenset({TABLE, "Left_hand", "Right_hand"})
+"""Names that other bodies of a scene have."""
 
 CUBE_DENSITY_KG_PER_M3 = 640.0
 """Beech: a cube of 50 mm weighs 80 g."""
@@ -26,7 +30,7 @@ CUBE_DENSITY_KG_PER_M3 = 640.0
 class ObjectSpec(BaseModel):
     """One loose object."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     name: str
     kind: ObjectKind = "box"
@@ -41,6 +45,29 @@ class ObjectSpec(BaseModel):
     """Sliding friction; 0.55 is wood on wood."""
     type: str = "WoodenCube"
     """Type in the vocabulary."""
+
+    @field_validator("name")
+    @classmethod
+    def _is_free_name(cls, name: str) -> str:
+        if not is_safe_name(name):
+            raise ValueError("give letters, digits, '.', '-' and '_', at most 128, a letter or digit first")
+        if name in RESERVED:
+            raise ValueError(f"{name!r} is no name for an object: {', '.join(sorted(RESERVED))} are taken")
+        return name
+
+    @field_validator("size_xyz_m")
+    @classmethod
+    def _has_extent(cls, size_xyz_m: Vector) -> Vector:
+        if min(size_xyz_m) <= 0.0:
+            raise ValueError("every extent must be positive")
+        return size_xyz_m
+
+    @field_validator("orientation_wxyz")
+    @classmethod
+    def _is_a_rotation(cls, orientation_wxyz: Quaternion) -> Quaternion:
+        if abs(float(np.linalg.norm(orientation_wxyz)) - 1.0) > 0.01:
+            raise ValueError("a rotation is a quaternion of length 1, w first")
+        return orientation_wxyz
 
     @property
     def volume_m3(self) -> float:
@@ -58,11 +85,20 @@ class ObjectSpec(BaseModel):
 class SceneSpec(BaseModel):
     """Objects on a table whose top is at z = 0, in metres, z up."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     objects: tuple[ObjectSpec, ...]
     table_size_xyz_m: Vector = (0.80, 1.00, 0.04)
     name: str = "scene"
+
+    @field_validator("objects")
+    @classmethod
+    def _have_names_of_their_own(cls, objects: tuple[ObjectSpec, ...]) -> tuple[ObjectSpec, ...]:
+        names = [each.name for each in objects]
+        twice = sorted({name for name in names if names.count(name) > 1})
+        if twice:
+            raise ValueError(f"these names stand for more than one object: {', '.join(twice)}")
+        return objects
 
     def require(self, name: str) -> ObjectSpec:
         """The object of a name.
@@ -85,8 +121,10 @@ def read_scene(path: Path) -> SceneSpec:
     """The scene that a YAML file describes.
 
     Raises:
-        ManifestError: If the file breaks the contract.
+        ManifestError: If the file is missing or breaks the contract.
     """
+    if not path.is_file():
+        raise ManifestError(path, None, "there is no such scene file")
     return load_yaml(path.read_text(encoding="utf-8"), path, SceneSpec)
 
 

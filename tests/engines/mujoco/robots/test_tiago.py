@@ -28,7 +28,7 @@ def test_tiago_puts_a_cube_on_another_without_touching_anything_else(stacker, se
         reports = stacker.stack(session, RIGHT, cube, support)
         assert [report.state for report in reports] == ["succeeded"] * 5
         assert sum(report.n_collisions for report in reports) == 0
-        assert max(report.tracking_error_m for report in reports) < 0.02
+        assert max(report.tracking_error_m for report in reports) < 0.03
         assert session.is_resting_on(cube, support)
 
 

@@ -267,7 +267,8 @@ def _carry_above(
             raise MotionFailed("path_blocked", f"no free spot on {support} for {name}", is_blocked=True)
     failure: MotionFailed | None = None
     support_stance = None if control.around.is_surface(support) else control.around.stance(support)
-    for spot in spots[:8]:
+    # Close to its body an arm cannot raise its hand far: then it passes over the place from less high.
+    for spot, height in product(spots[:8], (params.clearance_m, 0.4 * params.clearance_m)):
         for turn in yaws_on(own, support_stance):
 
             def aim(has_turned: bool, spot: Array | None = spot, turn: float = turn) -> tuple[Array, float]:
@@ -277,7 +278,7 @@ def _carry_above(
             # What is carried hangs below the grasp, by as much as it was when it was taken.
             below = max(control.arm.finger_reach_m, own.height_m / 2 - held.position_xyz_m[2])
             script = control.go_over(
-                goal + np.array([0.0, 0.0, params.clearance_m]),
+                goal + np.array([0.0, 0.0, height]),
                 yaw,
                 opening_m=control.opening_m(),
                 speed_m_per_s=params.carry_speed_m_per_s,
@@ -379,7 +380,7 @@ def release(control: ArmControl, motion: Motion) -> Script:
         )
     start = control.start_xyz_m()
     failure: MotionFailed | None = None
-    for rise in (params.retreat_m, 0.6 * params.retreat_m, 0.3 * params.retreat_m):
+    for rise in params.retreat_m * np.array([1.0, 0.6, 0.35, 0.2]):
         script = control.go_straight(
             start + np.array([0.0, 0.0, rise]),
             control.yaw_rad(),

@@ -30,7 +30,7 @@ JOINT_SPEEDS_RAD_PER_S = (2.7, 3.66, 4.58, 4.58, 1.95, 1.76, 1.76)
 class TiagoParams:
     """Where TIAGo stands, and how it is driven."""
 
-    base_xy_m: tuple[float, float] = (-0.55, 0.0)
+    base_xy_m: tuple[float, float] = (-0.555, 0.0)
     """Middle of its base, seen from the table's middle; it looks along x [m]."""
     table_height_m: float = 0.70
     """Height of the table's top above the floor [m]."""
