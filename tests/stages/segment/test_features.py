@@ -5,7 +5,7 @@ import polars as pl
 import pytest
 
 from demoplan.stages.segment import windows
-from demoplan.stages.segment.features import features_of
+from demoplan.stages.segment.features import FeatureParams, feature_names, features_of
 from demoplan.stages.segment.tracks import roles_of, tracks_of
 from demoplan.tables import Frames
 
@@ -70,7 +70,8 @@ def test_features_are_finite_whatever_is_missing(demonstrate, keep):
 def test_windows_have_the_mean_of_what_lies_in_them():
     rng = np.random.default_rng(0)
     signal = rng.standard_normal((2, 40))
-    past, future = windows.past_mean(signal, 0.5, 0.1), windows.future_mean(signal, 0.5, 0.1)
+    total = windows.running_total(signal)
+    past, future = windows.past_mean(total, 0.5, 0.1), windows.future_mean(total, 0.5, 0.1)
     for tick in range(40):
         np.testing.assert_allclose(past[:, tick], signal[:, max(0, tick - 4) : tick + 1].mean(axis=1))
         np.testing.assert_allclose(future[:, tick], signal[:, tick : tick + 5].mean(axis=1))
@@ -86,3 +87,16 @@ def test_times_to_events_count_from_the_last_and_to_the_next():
     np.testing.assert_allclose(windows.seconds_since(mask, 9.0, 1.0), [9, 9, 0, 0, 1, 2, 3, 0])
     np.testing.assert_allclose(windows.seconds_until(mask, 9.0, 1.0), [2, 1, 0, 0, 3, 2, 1, 0])
     np.testing.assert_allclose(windows.seconds_until(~mask & False, 9.0, 1.0), [9] * 8)
+
+
+@pytest.mark.parametrize("keep", [["Right_hand"], ["Left_hand", "Right_hand", "bowl", "cube"]])
+def test_a_feature_that_is_asked_for_alone_is_what_it_is_among_all(demonstrate, keep):
+    d = demonstrate()
+    frames = Frames.cast(d.frames.filter(pl.col("entity").is_in(keep)))
+    (tracks,) = tracks_of(frames, d.facts, roles_of(d.entities, d.types))
+    every = features_of(tracks)
+    assert every.names == feature_names(FeatureParams())
+    for index, name in enumerate(every.names):
+        alone = features_of(tracks, only=[name])
+        assert alone.names == (name,)
+        np.testing.assert_array_equal(alone.values[..., 0], every.values[..., index])

@@ -9,7 +9,7 @@ from sklearn.tree import DecisionTreeClassifier, DecisionTreeRegressor
 
 from demoplan.errors import DataError
 from demoplan.stages.segment.fitting import boosted_trees_of, fitted, trees_of
-from demoplan.stages.segment.trees import from_plain, probabilities, to_plain
+from demoplan.stages.segment.trees import from_plain, over_columns, probabilities, to_plain
 
 
 @pytest.fixture(scope="module")
@@ -130,4 +130,25 @@ def test_an_unknown_method_is_refused_with_the_known_ones(examples):
             max_leaves=None,
             n_trees=3,
             seed=0,
+        )
+
+
+def test_trees_over_the_columns_that_they_ask_about_say_the_same():
+    plain = {
+        "link": "mean",
+        "root": [0],
+        "feature": [4, -1, 1, -1, -1],
+        "threshold": [0.5, 0.0, 0.25, 0.0, 0.0],
+        "left": [1, 1, 3, 3, 4],
+        "right": [2, 1, 4, 3, 4],
+        "leaf_value": [[1.0, 0.0], [0.25, 0.75], [0.0, 1.0]],
+        "baseline": [0.0, 0.0],
+    }
+    trees = from_plain(plain, 6, 2)
+    values = np.random.default_rng(0).random((50, 6), dtype=np.float32)
+    expected = probabilities(trees, values)
+    assert len(np.unique(expected[:, 0])) == 3
+    for columns in ([1, 4], [4, 1], [0, 1, 4]):
+        np.testing.assert_array_equal(
+            probabilities(over_columns(trees, columns), values[:, columns]), expected
         )

@@ -76,9 +76,13 @@ def decoded(log_probability: Array, initial: Array, change: Array) -> NDArray[np
     n_ticks = len(log_probability)
     if n_ticks < 2:
         return viterbi(log_probability, initial, change)
-    ranking = np.argsort(log_probability, axis=1, kind="stable")
-    is_new = np.append(True, (ranking[1:] != ranking[:-1]).any(axis=1))
-    starts = np.flatnonzero(is_new)
+    # Leaves repeat from tick to tick: only where the evidence changes can the ranking change.
+    is_other = log_probability[1:, 0] != log_probability[:-1, 0]
+    for k in range(1, log_probability.shape[1]):
+        is_other |= log_probability[1:, k] != log_probability[:-1, k]
+    changes = np.flatnonzero(np.append(True, is_other))
+    ranking = np.argsort(log_probability[changes], axis=1, kind="stable")
+    starts = changes[np.append(True, (ranking[1:] != ranking[:-1]).any(axis=1))]
     summed = np.add.reduceat(log_probability, starts, axis=0)
     return np.repeat(viterbi(summed, initial, change), np.diff(starts, append=n_ticks))
 

@@ -5,8 +5,9 @@ hand; never of places in the room, names of instances or left and right. So a se
 one person, with one layout and one rig, has a chance with the next. Time enters in seconds, not in ticks.
 """
 
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,27 +50,38 @@ def features_of(
     Args:
         tracks: The episode's arrays.
         params: Windows and thresholds.
-        only: Features that are asked for; the others are left zero, which saves their time. Null: all.
+        only: Features that are asked for; nothing is computed for the others alone. Null: all.
 
     Returns:
         Values ``(h, t, f)``; finite whatever the episode lacks (objects, a second hand, a grip signal).
     """
-    base = _signals(tracks, params)
-    context = [
-        (f"{name}.{side}_{window_s:g}s", mean, name, window_s)
+    signals = _Signals(tracks, params)
+    context = _context(params)
+    names = tuple(name for name in feature_names(params) if only is None or name in only)
+    # Feature by feature in memory, since each is written, and read by a tree, as a whole.
+    values = np.empty((len(names), len(tracks.hands), len(tracks.tick_ns)), dtype=np.float32)
+    for index, name in enumerate(names):
+        if name in context:
+            mean, source, window_s = context[name]
+            values[index] = mean(signals.total(source), window_s, tracks.tick_s)
+        else:
+            values[index] = signals[name]
+    return Features(names, np.moveaxis(values, 0, -1))
+
+
+def feature_names(params: FeatureParams) -> tuple[str, ...]:
+    """Every feature there is, in order."""
+    return (*_SIGNALS, *_context(params))
+
+
+def _context(params: FeatureParams) -> dict[str, tuple[Callable[[Array, float, float], Array], str, float]]:
+    """Features that are means over a window: how the mean is taken, of which signal, over how long [s]."""
+    return {
+        f"{name}.{side}_{window_s:g}s": (mean, name, window_s)
         for name in _WITH_CONTEXT
         for window_s in params.context_s
         for side, mean in (("past", windows.past_mean), ("future", windows.future_mean))
-    ]
-    names = (*base, *(name for name, *_ in context))
-    # Feature by feature in memory, since each is written, and read by a tree, as a whole.
-    values = np.zeros((len(names), len(tracks.hands), len(tracks.tick_ns)), dtype=np.float32)
-    for index, signal in enumerate(base.values()):
-        values[index] = signal
-    for index, (name, mean, source, window_s) in enumerate(context, start=len(base)):
-        if only is None or name in only:
-            values[index] = mean(base[source], window_s, tracks.tick_s)
-    return Features(names, np.moveaxis(values, 0, -1))
+    }
 
 
 _WITH_CONTEXT = (
@@ -88,184 +100,299 @@ _FAR_M = 2.0
 """Stands for 'there is none' among distances [m]: beyond any arm's reach."""
 
 
-def _signals(tracks: Tracks, params: FeatureParams) -> dict[str, Array]:
-    """Signals ``(h, t)`` by name, without context."""
-    tick_s, horizon_s = tracks.tick_s, params.horizon_s
-    hands_m = tracks.hand_position_m
-    n_hands, length = hands_m.shape[:2]
+class _Signals:
+    """Signals ``(h, t)`` by name, without context. Each, and what it rests on, is computed when asked for."""
 
-    velocity = velocities(hands_m, tick_s, params.velocity_window_s)
-    speed = _norm(velocity)
-    is_moving = tracks.is_moving
-    grip = relative_grip(tracks.grip)
-    signals: dict[str, Array] = {
-        "hand_speed": speed,
-        "hand_drift": _norm(windows.difference(hands_m, 0.6, tick_s, axis=1)),
-        "hand_climb": velocity[..., 2],
-        "hand_height": _above_low(hands_m[..., 2]),
-        "hand_from_start": _norm(hands_m - hands_m[:, :1]),
-        "hand_from_end": _norm(hands_m - hands_m[:, -1:]),
-        "still_for": windows.seconds_since(is_moving, horizon_s, tick_s),
-        "still_until": windows.seconds_until(is_moving, horizon_s, tick_s),
-        "moving_for": windows.seconds_since(~is_moving, horizon_s, tick_s),
-        "moving_until": windows.seconds_until(~is_moving, horizon_s, tick_s),
-        "grip": grip,
-        "grip_rate": windows.difference(grip, params.velocity_window_s, tick_s),
-    }
+    def __init__(self, tracks: Tracks, params: FeatureParams) -> None:
+        self.tracks = tracks
+        self.params = params
+        self.tick_s = tracks.tick_s
+        self.hands_m = tracks.hand_position_m
+        self.shape = (len(tracks.hands), len(tracks.tick_ns))
+        self.things = _Things(tracks, params)
+        self._found: dict[str, Array] = {}
+        self._totals: dict[str, Array] = {}
 
-    things = _Things.of(tracks, params)
-    is_held = tracks.in_hand | carried(things.distance, things.speed, things.height, tick_s, params.carrying)
-    is_holding = np.asarray(is_held.any(axis=1))
-    held = is_held.argmax(axis=1) if things.n else np.zeros((n_hands, length), dtype=np.int64)
-    latest, coming = windows.last_true(is_holding), windows.next_true(is_holding)
-    previous = np.take_along_axis(held, np.maximum(latest, 0), axis=1)
-    following = np.take_along_axis(held, np.minimum(coming, length - 1), axis=1)
-    since = windows.seconds_since(is_holding, horizon_s, tick_s)
-    until = windows.seconds_until(is_holding, horizon_s, tick_s)
-    order = np.argsort(things.distance, axis=1)[:, :2] if things.n else held[:, None]
-    nearest = order[:, 0]
-    # What the hand is about: what it holds, else what it grasps next or let go last, whichever is nearer.
-    partner = np.where(until <= since, following, previous)
-    partner = np.where((since >= horizon_s) & (until >= horizon_s), nearest, partner)
+    def __getitem__(self, name: str) -> Array:
+        """One signal."""
+        if name not in self._found:
+            self._found[name] = _SIGNALS[name](self)
+        return self._found[name]
 
-    signals |= {
-        "is_holding": is_holding.astype(float),
-        "since_holding": since,
-        "until_holding": until,
-        "partner_distance": things.of_hand(things.distance, partner, _FAR_M),
-        "partner_excess": things.of_hand(things.excess, partner, _FAR_M),
-        "partner_closing": things.of_hand(things.closing, partner, 0.0),
-        "next_distance": np.where(
-            until < horizon_s, things.of_hand(things.distance, following, _FAR_M), _FAR_M
-        ),
-        "previous_distance": np.where(
-            since < horizon_s, things.of_hand(things.distance, previous, _FAR_M), _FAR_M
-        ),
-        "nearest_distance": things.of_hand(things.distance, nearest, _FAR_M),
-        "nearest_excess": things.of_hand(things.excess, nearest, _FAR_M),
-        "nearest_closing": things.of_hand(things.closing, nearest, 0.0),
-        "nearest_speed": things.of_object(things.speed, nearest),
-        "second_distance": (
-            things.of_hand(things.distance, order[:, 1], _FAR_M)
-            if things.n > 1
-            else np.full((n_hands, length), _FAR_M)
-        ),
-        "partner_speed": things.of_object(things.speed, partner),
-        "partner_spin": things.of_object(things.spin, partner),
-        "partner_tilt": things.of_object(things.tilt, partner),
-        "partner_tilt_rate": things.of_object(things.tilt_rate, partner),
-        "partner_height": things.of_object(things.height, partner),
-        "partner_climb": things.of_object(things.climb, partner),
-        "partner_agitation": things.of_object(things.agitation, partner),
-        "partner_moved": things.of_object(things.displacement, partner),
-        "partner_to_nearest": things.of_object(things.gap, partner),
-        "partner_over_nearest": things.of_object(things.flat_gap, partner),
-        "partner_gap_closing": things.of_object(things.gap_closing, partner),
-    }
+    def total(self, name: str) -> Array:
+        """A signal's sum over all ticks before each ``(h, t + 1)``, from which means over windows come."""
+        if name not in self._totals:
+            self._totals[name] = windows.running_total(self[name])
+        return self._totals[name]
 
-    other = _nearest_other_hand(hands_m)
-    for name in (
-        "hand_speed",
-        "is_holding",
-        "since_holding",
-        "until_holding",
-        "partner_speed",
-        "partner_agitation",
-        "partner_to_nearest",
-        "partner_tilt",
-    ):
-        theirs = np.take_along_axis(signals[name], other, axis=0) if n_hands > 1 else np.zeros_like(speed)
-        signals[f"other_{name.removeprefix('hand_')}"] = theirs
-    signals["other_distance"] = _distance_to_other(hands_m, other)
-    signals["nearest_to_other_partner"] = np.full((n_hands, length), _FAR_M)
-    if things.n and n_hands > 1:
-        partner_of_other = np.take_along_axis(partner, other, axis=0)
-        signals["nearest_to_other_partner"] = np.where(
-            signals["other_is_holding"] > 0, things.between(nearest, partner_of_other), _FAR_M
+    def far(self) -> Array:
+        """Distances from nothing."""
+        return np.full(self.shape, _FAR_M)
+
+    @cached_property
+    def velocity(self) -> Array:
+        """Of hands ``(h, t, 3)``."""
+        return velocities(self.hands_m, self.tick_s, self.params.velocity_window_s)
+
+    def time_since(self, mask: NDArray[np.bool_]) -> Array:
+        """Time since a mask was last true."""
+        return windows.seconds_since(mask, self.params.horizon_s, self.tick_s)
+
+    def time_until(self, mask: NDArray[np.bool_]) -> Array:
+        """Time until a mask is next true."""
+        return windows.seconds_until(mask, self.params.horizon_s, self.tick_s)
+
+    @cached_property
+    def is_held(self) -> NDArray[np.bool_]:
+        """Which object is in which hand ``(h, o, t)``."""
+        things = self.things
+        return self.tracks.in_hand | carried(
+            things.distance, things.speed, things.height, self.tick_s, self.params.carrying
         )
-    return signals
+
+    @cached_property
+    def is_holding(self) -> NDArray[np.bool_]:
+        """Whether anything is in hand ``(h, t)``."""
+        return np.asarray(self.is_held.any(axis=1))
+
+    @cached_property
+    def held(self) -> "_Choice":
+        """What is in hand; the first object where nothing is."""
+        if not self.things.n:
+            return _Choice.of(np.zeros(self.shape, dtype=np.int64))
+        return _Choice.of(self.is_held.argmax(axis=1))
+
+    @cached_property
+    def previous(self) -> "_Choice":
+        """What is or was in hand last."""
+        latest = windows.last_true(self.is_holding)
+        return _Choice.of(np.take_along_axis(self.held.index, np.maximum(latest, 0), axis=1))
+
+    @cached_property
+    def following(self) -> "_Choice":
+        """What is or will be in hand next."""
+        coming = windows.next_true(self.is_holding)
+        return _Choice.of(np.take_along_axis(self.held.index, np.minimum(coming, self.shape[1] - 1), axis=1))
+
+    @cached_property
+    def nearest(self) -> "_Choice":
+        """The object nearest to each hand."""
+        return _Choice.of(self.things.distance.argmin(axis=1)) if self.things.n else self.held
+
+    @cached_property
+    def partner(self) -> "_Choice":
+        """What the hand is about: what it holds, else what it grasps next or let go last, what is nearer."""
+        since, until, horizon_s = self["since_holding"], self["until_holding"], self.params.horizon_s
+        partner = np.where(until <= since, self.following.index, self.previous.index)
+        is_far = (since >= horizon_s) & (until >= horizon_s)
+        return _Choice.of(np.where(is_far, self.nearest.index, partner))
+
+    def soon(self, time: str, distance: Array) -> Array:
+        """A distance where a time is within the horizon."""
+        return np.where(self[time] < self.params.horizon_s, distance, _FAR_M)
+
+    def second_distance(self) -> Array:
+        """Distance to the object that is second nearest."""
+        if self.things.n < 2:
+            return self.far()
+        return np.asarray(np.partition(self.things.distance, 1, axis=1)[:, 1])
+
+    @cached_property
+    def other(self) -> NDArray[np.int64]:
+        """The other hand that is nearest ``(h, t)``."""
+        return _nearest_other_hand(self.hands_m)
+
+    def of_other(self, name: str) -> Array:
+        """A signal of the other hand."""
+        if self.shape[0] < 2:
+            return np.zeros(self.shape)
+        return np.take_along_axis(self[name], self.other, axis=0)
+
+    def nearest_to_other_partner(self) -> Array:
+        """Distance from the object nearest to this hand to what the other hand holds."""
+        if not self.things.n or self.shape[0] < 2:
+            return self.far()
+        partner_of_other = np.take_along_axis(self.partner.index, self.other, axis=0)
+        apart = self.things.between(self.nearest.index, partner_of_other)
+        return np.where(self["other_is_holding"] > 0, apart, _FAR_M)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+_SIGNALS: dict[str, Callable[[_Signals], Array]] = {
+    "hand_speed": lambda s: _norm(s.velocity),
+    "hand_drift": lambda s: _norm(windows.difference(s.hands_m, 0.6, s.tick_s, axis=1)),
+    "hand_climb": lambda s: s.velocity[..., 2],
+    "hand_height": lambda s: _above_low(s.hands_m[..., 2]),
+    "hand_from_start": lambda s: _norm(s.hands_m - s.hands_m[:, :1]),
+    "hand_from_end": lambda s: _norm(s.hands_m - s.hands_m[:, -1:]),
+    "still_for": lambda s: s.time_since(s.tracks.is_moving),
+    "still_until": lambda s: s.time_until(s.tracks.is_moving),
+    "moving_for": lambda s: s.time_since(~s.tracks.is_moving),
+    "moving_until": lambda s: s.time_until(~s.tracks.is_moving),
+    "grip": lambda s: relative_grip(s.tracks.grip),
+    "grip_rate": lambda s: windows.difference(s["grip"], s.params.velocity_window_s, s.tick_s),
+    "is_holding": lambda s: s.is_holding.astype(float),
+    "since_holding": lambda s: s.time_since(s.is_holding),
+    "until_holding": lambda s: s.time_until(s.is_holding),
+    "partner_distance": lambda s: s.things.of_hand("distance", s.partner, _FAR_M),
+    "partner_excess": lambda s: s.things.of_hand("excess", s.partner, _FAR_M),
+    "partner_closing": lambda s: s.things.of_hand("closing", s.partner, 0.0),
+    "next_distance": lambda s: s.soon("until_holding", s.things.of_hand("distance", s.following, _FAR_M)),
+    "previous_distance": lambda s: s.soon("since_holding", s.things.of_hand("distance", s.previous, _FAR_M)),
+    "nearest_distance": lambda s: s.things.of_hand("distance", s.nearest, _FAR_M),
+    "nearest_excess": lambda s: s.things.of_hand("excess", s.nearest, _FAR_M),
+    "nearest_closing": lambda s: s.things.of_hand("closing", s.nearest, 0.0),
+    "nearest_speed": lambda s: s.things.of_object("speed", s.nearest),
+    "second_distance": lambda s: s.second_distance(),
+    "partner_speed": lambda s: s.things.of_object("speed", s.partner),
+    "partner_spin": lambda s: s.things.of_object("spin", s.partner),
+    "partner_tilt": lambda s: s.things.of_object("tilt", s.partner),
+    "partner_tilt_rate": lambda s: s.things.of_object("tilt_rate", s.partner),
+    "partner_height": lambda s: s.things.of_object("height", s.partner),
+    "partner_climb": lambda s: s.things.of_object("climb", s.partner),
+    "partner_agitation": lambda s: s.things.of_object("agitation", s.partner),
+    "partner_moved": lambda s: s.things.of_object("displacement", s.partner),
+    "partner_to_nearest": lambda s: s.things.of_object("gap", s.partner),
+    "partner_over_nearest": lambda s: s.things.of_object("flat_gap", s.partner),
+    "partner_gap_closing": lambda s: s.things.of_object("gap_closing", s.partner),
+    "other_speed": lambda s: s.of_other("hand_speed"),
+    "other_is_holding": lambda s: s.of_other("is_holding"),
+    "other_since_holding": lambda s: s.of_other("since_holding"),
+    "other_until_holding": lambda s: s.of_other("until_holding"),
+    "other_partner_speed": lambda s: s.of_other("partner_speed"),
+    "other_partner_agitation": lambda s: s.of_other("partner_agitation"),
+    "other_partner_to_nearest": lambda s: s.of_other("partner_to_nearest"),
+    "other_partner_tilt": lambda s: s.of_other("partner_tilt"),
+    "other_distance": lambda s: _distance_to_other(s.hands_m, s.other),
+    "nearest_to_other_partner": lambda s: s.nearest_to_other_partner(),
+}
+"""How each signal is found, in the order of the features."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Choice:
+    """One object per hand and tick ``(h, t)``."""
+
+    index: NDArray[np.int64]
+    place: NDArray[np.int64]
+    """Where its value stands among an object signal's ``(o, t)``, one after the other."""
+
+    @classmethod
+    def of(cls, index: NDArray[np.int64]) -> "_Choice":
+        length = index.shape[1]
+        return cls(index, index * length + np.arange(length))
+
+
 class _Things:
-    """Signals of objects ``(o, t)`` and of hand-object pairs ``(h, o, t)``."""
+    """Signals of objects ``(o, t)`` and of hand-object pairs ``(h, o, t)``, computed when asked for."""
 
-    apart_squared: Array
-    """Squared distances of objects ``(o, o, t)``."""
-    distance: Array
-    excess: Array
-    """Distance beyond the pair's smallest in this episode: markers sit elsewhere on every hand."""
-    closing: Array
-    """Speed at which the hand comes nearer [m/s]."""
-    speed: Array
-    spin: Array
-    """Angular speed [rad/s]."""
-    tilt: Array
-    """Angle by which the object leans from how it stood first [rad]."""
-    tilt_rate: Array
-    height: Array
-    climb: Array
-    agitation: Array
-    """Mean speed beyond what displaces the object over a second: to and fro, round and round [m/s]."""
-    displacement: Array
-    """Distance from where the object stood first [m]."""
-    gap: Array
-    """Distance to the nearest other object [m]."""
-    flat_gap: Array
-    """Horizontal distance to the object that is horizontally nearest [m]."""
-    gap_closing: Array
+    def __init__(self, tracks: Tracks, params: FeatureParams) -> None:
+        self.tracks = tracks
+        self.params = params
+        self.tick_s = tracks.tick_s
+        self.position = tracks.object_position_m
+        self.n = len(self.position)
 
-    @property
-    def n(self) -> int:
-        """Number of objects."""
-        return len(self.speed)
-
-    def of_hand(self, pair: Array, index: NDArray[np.int64], default: float) -> Array:
+    def of_hand(self, name: str, choice: _Choice, default: float) -> Array:
         """Values of a pair signal for one object per hand and tick ``(h, t)``."""
         if not self.n:
-            return np.full((pair.shape[0], pair.shape[2]), default)
-        return np.take_along_axis(pair, index[:, None], axis=1)[:, 0]
+            return np.full(choice.index.shape, default)
+        pair: Array = getattr(self, name)
+        offset = np.arange(len(pair))[:, None] * (pair.shape[1] * pair.shape[2])
+        return np.asarray(np.take(pair, choice.place + offset))
 
-    def of_object(self, signal: Array, index: NDArray[np.int64]) -> Array:
+    def of_object(self, name: str, choice: _Choice) -> Array:
         """Values of an object signal for one object per hand and tick ``(h, t)``."""
         if not self.n:
-            return np.zeros(index.shape)
-        return np.take_along_axis(signal, index, axis=0)
+            return np.zeros(choice.index.shape)
+        return np.asarray(np.take(getattr(self, name), choice.place))
 
     def between(self, one: NDArray[np.int64], other: NDArray[np.int64]) -> Array:
         """Distances of two objects per hand and tick ``(h, t)``."""
-        distance: Array = np.sqrt(self.apart_squared[one, other, np.arange(one.shape[1])])
+        x, y, z = np.moveaxis(self.position, -1, 0)
+        ticks = np.arange(one.shape[1])
+        flat = (x[one, ticks] - x[other, ticks]) ** 2 + (y[one, ticks] - y[other, ticks]) ** 2
+        distance: Array = np.sqrt(flat + (z[one, ticks] - z[other, ticks]) ** 2)
         return distance
 
-    @classmethod
-    def of(cls, tracks: Tracks, params: FeatureParams) -> "_Things":
-        """Signals of every object of an episode."""
-        tick_s = tracks.tick_s
-        position = tracks.object_position_m
-        distance = _norm(tracks.hand_position_m[:, None] - position[None])
+    @cached_property
+    def distance(self) -> Array:
+        """Distance of each hand to each object [m]."""
+        return _norm(self.tracks.hand_position_m[:, None] - self.position[None])
+
+    @cached_property
+    def excess(self) -> Array:
+        """Distance beyond the pair's smallest in this episode: markers sit elsewhere on every hand."""
+        return np.asarray(self.distance - self.distance.min(axis=2, keepdims=True))
+
+    @cached_property
+    def closing(self) -> Array:
+        """Speed at which the hand comes nearer [m/s]."""
+        return -windows.difference(self.distance, self.params.trend_window_s, self.tick_s)
+
+    @cached_property
+    def velocity(self) -> Array:
+        """``(o, t, 3)``."""
         # A recording without objects has nothing to fit.
-        velocity = velocities(position, tick_s, params.velocity_window_s) if len(position) else position
-        speed = _norm(velocity)
-        net = _norm(windows.difference(position, 1.0, tick_s, axis=1))
-        tilt = _tilt(tracks.object_orientation)
-        apart_squared, gap, flat_gap = _gaps(position)
-        return cls(
-            apart_squared=apart_squared,
-            distance=distance,
-            excess=distance - distance.min(axis=2, keepdims=True),
-            closing=-windows.difference(distance, params.trend_window_s, tick_s),
-            speed=speed,
-            spin=_spin(tracks.object_orientation, params.velocity_window_s, tick_s),
-            tilt=tilt,
-            tilt_rate=windows.difference(tilt, params.trend_window_s, tick_s),
-            height=_above_low(position[..., 2]),
-            climb=velocity[..., 2],
-            agitation=np.maximum(windows.centred_mean(speed, 1.0, tick_s) - net, 0.0),
-            displacement=_norm(position - position[:, :1]),
-            gap=gap,
-            flat_gap=flat_gap,
-            gap_closing=-windows.difference(gap, params.trend_window_s, tick_s),
-        )
+        if not self.n:
+            return self.position
+        return velocities(self.position, self.tick_s, self.params.velocity_window_s)
+
+    @cached_property
+    def speed(self) -> Array:
+        """[m/s]."""
+        return _norm(self.velocity)
+
+    @cached_property
+    def climb(self) -> Array:
+        """Upward speed [m/s]."""
+        return self.velocity[..., 2]
+
+    @cached_property
+    def spin(self) -> Array:
+        """Angular speed [rad/s]."""
+        return _spin(self.tracks.object_orientation, self.params.velocity_window_s, self.tick_s)
+
+    @cached_property
+    def tilt(self) -> Array:
+        """Angle by which the object leans from how it stood first [rad]."""
+        return _tilt(self.tracks.object_orientation)
+
+    @cached_property
+    def tilt_rate(self) -> Array:
+        """[rad/s]."""
+        return windows.difference(self.tilt, self.params.trend_window_s, self.tick_s)
+
+    @cached_property
+    def height(self) -> Array:
+        """Above the object's own low [m]."""
+        return _above_low(self.position[..., 2])
+
+    @cached_property
+    def agitation(self) -> Array:
+        """Mean speed beyond what displaces the object over a second: to and fro, round and round [m/s]."""
+        net = _norm(windows.difference(self.position, 1.0, self.tick_s, axis=1))
+        mean = windows.centred_mean(windows.running_total(self.speed), 1.0, self.tick_s)
+        return np.maximum(mean - net, 0.0)
+
+    @cached_property
+    def displacement(self) -> Array:
+        """Distance from where the object stood first [m]."""
+        return _norm(self.position - self.position[:, :1])
+
+    @cached_property
+    def gap(self) -> Array:
+        """Distance to the nearest other object [m]."""
+        return _gaps(self.position)
+
+    @cached_property
+    def flat_gap(self) -> Array:
+        """Horizontal distance to the object that is horizontally nearest [m]."""
+        return _gaps(self.position[..., :2])
+
+    @cached_property
+    def gap_closing(self) -> Array:
+        """Speed at which the nearest other object comes nearer [m/s]."""
+        return -windows.difference(self.gap, self.params.trend_window_s, self.tick_s)
 
 
 def _norm(vectors: Array) -> Array:
@@ -319,18 +446,21 @@ def _spin(orientation: Array, window_s: float, tick_s: float) -> Array:
     return np.asarray(angle / (np.maximum(later - earlier, 1) * tick_s))
 
 
-def _gaps(position_m: Array) -> tuple[Array, Array, Array]:
-    """Squared distances ``(o, o, t)``; distance to the nearest other, in space and flat ``(o, t)``."""
+def _gaps(position_m: Array) -> Array:
+    """Distance of each object to the nearest other ``(o, t)``, over the given axes ``(o, t, axis)``."""
     n, length = position_m.shape[:2]
-    x, y, z = np.moveaxis(position_m, -1, 0)
-    flat = (x[:, None] - x[None]) ** 2 + (y[:, None] - y[None]) ** 2
-    apart = flat + (z[:, None] - z[None]) ** 2
     if n < 2:
-        return apart, np.full((n, length), _FAR_M), np.full((n, length), _FAR_M)
-    others = apart + np.where(np.eye(n, dtype=np.bool_), np.inf, 0.0)[..., None]
-    itself = np.arange(n)
-    flat[itself, itself] = np.inf
-    return apart, np.sqrt(others.min(axis=1)), np.sqrt(flat.min(axis=1))
+        return np.full((n, length), _FAR_M)
+    axes = np.ascontiguousarray(np.moveaxis(position_m, -1, 0))
+    nearest = np.full((n, length), np.inf)
+    for one in range(n):
+        for other in range(one + 1, n):
+            apart = (axes[0, one] - axes[0, other]) ** 2
+            for along in axes[1:]:
+                apart += (along[one] - along[other]) ** 2
+            np.minimum(nearest[one], apart, out=nearest[one])
+            np.minimum(nearest[other], apart, out=nearest[other])
+    return np.asarray(np.sqrt(nearest))
 
 
 def _nearest_other_hand(hands_m: Array) -> NDArray[np.int64]:

@@ -12,11 +12,11 @@ from demoplan.errors import DataError
 from demoplan.geometry import Array
 from demoplan.language.types import TypeHierarchy
 from demoplan.stages.segment.decoding import decoded, runs_of, without_short_runs
-from demoplan.stages.segment.features import features_of
+from demoplan.stages.segment.features import feature_names, features_of
 from demoplan.stages.segment.model import Segmenter
 from demoplan.stages.segment.rules import RULES, RuleTree, classify_by_rules
 from demoplan.stages.segment.tracks import TrackParams, Tracks, roles_of, tracks_of
-from demoplan.stages.segment.trees import probabilities
+from demoplan.stages.segment.trees import over_columns, probabilities
 from demoplan.stages.segment.windows import n_ticks
 from demoplan.tables import Activities, Facts, Frames
 from demoplan.tables.validating import validated
@@ -95,15 +95,17 @@ def classify_by_model(
     Raises:
         DataError: If the segmenter was trained on features that this version does not compute.
     """
-    features = features_of(tracks, segmenter.feature_params, segmenter.features_used)
-    if features.names != segmenter.feature_names:
-        missing = sorted(set(segmenter.feature_names) - set(features.names))
+    available = feature_names(segmenter.feature_params)
+    if available != segmenter.feature_names:
+        missing = sorted(set(segmenter.feature_names) - set(available))
         raise DataError(
             f"the segmenter asks for features {missing or 'in another order'}; this version computes "
-            f"{len(features.names)} others: train it again"
+            f"{len(available)} others: train it again"
         )
+    features = features_of(tracks, segmenter.feature_params, segmenter.features_used)
     n_hands, length, n_features = features.values.shape
-    flat = probabilities(segmenter.trees, features.values.reshape(-1, n_features))
+    trees = over_columns(segmenter.trees, [available.index(name) for name in features.names])
+    flat = probabilities(trees, features.values.reshape(n_hands * length, n_features))
     share = np.maximum(flat, params.min_probability).reshape(n_hands, length, -1)
     evidence = np.log(share / share.sum(axis=2, keepdims=True))
     if not params.is_decoded:

@@ -14,7 +14,7 @@ import polars as pl
 from numpy.typing import NDArray
 
 from demoplan.errors import DataError
-from demoplan.geometry import Array, hysteresis, normalised, speeds
+from demoplan.geometry import Array, are_known, hysteresis, normalised, speeds
 from demoplan.language.types import TypeHierarchy
 from demoplan.tables import Facts, Frames
 from demoplan.tables.episodewise import by_episode
@@ -110,10 +110,16 @@ def tracks_of(
     found = []
     for episode_id, group in by_episode(frames):
         # Frames come in this order; sorting them again would copy them.
-        is_rising = (pl.col("tick_ns").diff() > 0) | (pl.col("entity") > pl.col("entity").shift())
-        ordered = group if group.select(is_rising.all()).item() else group.sort("entity", "tick_ns")
+        ordered = group if _is_ordered(group) else group.sort("entity", "tick_ns")
         found.append(_tracks(episode_id, ordered, facts_of.get(episode_id, nothing), roles, params))
     return tuple(found)
+
+
+def _is_ordered(frames: pl.DataFrame) -> bool:
+    """Whether rows go by entity, then tick: where ticks do not rise, the entity must."""
+    falls = np.flatnonzero(np.diff(frames.get_column("tick_ns").to_numpy()) <= 0)
+    entity = frames.get_column("entity")
+    return bool((entity.gather(falls + 1) > entity.gather(falls)).all())
 
 
 def _tracks(
@@ -136,11 +142,11 @@ def _tracks(
             f"episode {episode_id!r}: entities differ in ticks; frames need one clock per episode"
         )
     position = _block(frames, "position_xyz_m", 3).reshape(len(names), n_ticks, 3)
-    orientation = normalised(_block(frames, "orientation_wxyz", 4)).reshape(len(names), n_ticks, 4)
-    grip = frames.get_column("grip").to_numpy().astype(float).reshape(len(names), n_ticks)
+    orientation = _block(frames, "orientation_wxyz", 4).reshape(len(names), n_ticks, 4)
+    grip = frames.get_column("grip").to_numpy().reshape(len(names), n_ticks)
 
     row = {name: index for index, name in enumerate(names)}
-    is_seen: Mask = np.asarray(np.isfinite(position).all(axis=2))
+    is_seen = are_known(position)
     hands = tuple(name for name in names if roles.get(name) == "hand")
     objects = tuple(name for name in names if roles.get(name) == "object" and is_seen[row[name]].any())
     surfaces = tuple(name for name in names if roles.get(name) == "surface")
@@ -160,8 +166,8 @@ def _tracks(
         surfaces=surfaces,
         hand_position_m=hand_position_m,
         object_position_m=_bridged(position[object_rows]),
-        object_orientation=_held_over(orientation[object_rows]),
-        grip=grip[hand_rows],
+        object_orientation=_held_over(normalised(orientation[object_rows])),
+        grip=grip[hand_rows].astype(float),
         is_moving=is_moving,
         in_hand=interval_masks(facts, "inHand", hands, objects, clock_ns),
         acted_on=interval_masks(facts, "actedOn", hands, objects + surfaces, clock_ns),
@@ -183,14 +189,16 @@ def _period_s(tick_ns: NDArray[np.int64]) -> float:
 
 def _block(frames: pl.DataFrame, column: str, width: int) -> Array:
     """A column of fixed-width arrays as ``(n, width)``, NaN for null."""
-    flat = frames.get_column(column).fill_null([None] * width).explode().to_numpy()
-    return flat.astype(float, copy=False).reshape(-1, width)
+    values = frames.get_column(column)
+    if values.null_count():
+        values = values.fill_null([None] * width)
+    return values.reshape((-1,)).to_numpy().astype(float, copy=False).reshape(-1, width)
 
 
 def _bridged(position_m: Array) -> Array:
     """Tracks ``(n, t, 3)`` with gaps filled along straight lines; a track never seen stays at the origin."""
     filled = position_m
-    is_seen: Mask = np.asarray(np.isfinite(position_m).all(axis=2))
+    is_seen = are_known(position_m)
     ticks = np.arange(position_m.shape[1])
     for body in np.flatnonzero(~is_seen.all(axis=1)):
         if filled is position_m:
@@ -204,7 +212,7 @@ def _bridged(position_m: Array) -> Array:
 
 def _held_over(orientation: Array) -> Array:
     """Orientations ``(n, t, 4)`` with gaps filled by the last seen one (the first seen one before it)."""
-    is_seen: Mask = np.asarray(np.isfinite(orientation).all(axis=2))
+    is_seen = are_known(orientation)
     if is_seen.all():
         return orientation
     ticks = np.arange(orientation.shape[1])

@@ -5,8 +5,8 @@ and cannot run code. Nodes of all trees stand in one set of arrays; a child's in
 its parent's, so that evaluation ends whatever a file says.
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -85,6 +85,16 @@ def _leaves(trees: Trees, rows: NDArray[np.float32], root: int) -> NDArray[np.in
         node[walking] = there
         walking = walking[trees.feature[there] >= 0]
     return node
+
+
+def over_columns(trees: Trees, columns: Sequence[int]) -> Trees:
+    """The same trees over rows that have only these features, which must be all that they ask about."""
+    place = np.full(int(trees.feature.max(initial=-1)) + 2, -1, dtype=np.int32)
+    kept = np.asarray(columns, dtype=np.int64)
+    kept = kept[kept < len(place) - 1]
+    place[kept] = np.arange(len(kept), dtype=np.int32)
+    # A leaf asks for −1: the last entry, which stays −1.
+    return replace(trees, feature=place[trees.feature])
 
 
 def to_plain(trees: Trees) -> dict[str, Any]:

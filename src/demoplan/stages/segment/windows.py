@@ -31,34 +31,42 @@ def difference(values: Array, window_s: float, tick_s: float, axis: int = -1) ->
     return np.asarray(change / span_s.reshape(shape))
 
 
-def past_mean(values: Array, window_s: float, tick_s: float) -> Array:
+def running_total(values: Array) -> Array:
+    """Sum of all values before each tick, and at last of all ``(..., t + 1)``: means are asked of it."""
+    total = np.zeros((*values.shape[:-1], values.shape[-1] + 1))
+    np.cumsum(values, axis=-1, out=total[..., 1:])
+    return total
+
+
+def past_mean(total: Array, window_s: float, tick_s: float) -> Array:
     """Mean over the last ``window_s`` up to and with each tick; shorter at the beginning."""
-    return _mean(values, n_ticks(window_s, tick_s) - 1, 0)
+    return _mean(total, n_ticks(window_s, tick_s) - 1, 0)
 
 
-def future_mean(values: Array, window_s: float, tick_s: float) -> Array:
+def future_mean(total: Array, window_s: float, tick_s: float) -> Array:
     """Mean over the coming ``window_s`` from each tick on; shorter at the end."""
-    return _mean(values, 0, n_ticks(window_s, tick_s) - 1)
+    return _mean(total, 0, n_ticks(window_s, tick_s) - 1)
 
 
-def centred_mean(values: Array, window_s: float, tick_s: float) -> Array:
+def centred_mean(total: Array, window_s: float, tick_s: float) -> Array:
     """Mean over a window about each tick; shorter at both ends."""
     half = n_ticks(window_s / 2.0, tick_s)
-    return _mean(values, half, half)
+    return _mean(total, half, half)
 
 
-def _mean(values: Array, before: int, after: int) -> Array:
-    """Mean from ``before`` ticks ago to ``after`` ticks ahead; shorter at the ends."""
-    length = values.shape[-1]
+def _mean(total: Array, before: int, after: int) -> Array:
+    """Mean from ``before`` ticks ago to ``after`` ticks ahead, of a running total; shorter at the ends."""
+    length = total.shape[-1] - 1
     before, after = min(before, length - 1), min(after, length - 1)
-    # Cumulative sums with their ends repeated: a window that sticks out takes what is there.
-    total = np.zeros((*values.shape[:-1], before + length + after + 1))
-    np.cumsum(values, axis=-1, out=total[..., before + 1 : before + 1 + length])
-    total[..., before + 1 + length :] = total[..., before + length, None]
+    # A window that sticks out takes what is there.
+    summed = np.empty((*total.shape[:-1], length))
+    summed[..., : length - after] = total[..., after + 1 :]
+    summed[..., length - after :] = total[..., -1:]
+    summed[..., before:] -= total[..., : length - before]
     n = np.full(length, before + after + 1)
     n[:before] -= np.arange(before, 0, -1)
     n[length - after :] -= np.arange(1, after + 1)
-    return np.asarray((total[..., before + after + 1 :] - total[..., :length]) / n)
+    return np.asarray(np.divide(summed, n, out=summed))
 
 
 def last_true(mask: Mask) -> NDArray[np.int64]:
