@@ -82,8 +82,7 @@ def measure(robot: str, seeds: range) -> None:
         f"{robot}: {simulated_s / used_s:.0f} x real time per core "
         f"({simulated_s:.0f} s in {used_s:.1f} s), "
         f"opening a scene {1e3 * float(np.median(opened_s)):.0f} ms\n"
-        f"  stacks {n_good} of {n} ({100 * n_good / n:.1f} %; 95 % interval {100 * low:.1f} to {100 * high:.1f}), "
-        f""
+        f"  stacks {n_good} of {n} ({n_good / n:.1%}; 95 % interval {low:.1%} to {high:.1%}), "
         f"towers of three {n_towers} of {len(seeds)}\n"
         f"  off by {np.median(offsets_mm):.2f} mm in the median, {max(offsets_mm):.2f} mm at most"
     )

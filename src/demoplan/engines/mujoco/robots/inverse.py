@@ -6,7 +6,7 @@ comfortable one. Between points that are solved, configurations follow a cubic s
 
 from dataclasses import dataclass
 
-import daqp  # noqa: F401 - the solver that mink is told to use
+import daqp  # type: ignore[import-not-found, unused-ignore]  # noqa: F401 - the solver that mink is told to use
 import mink
 import mujoco
 import numpy as np

@@ -234,7 +234,7 @@ class TiagoArm:
 
     def commanded(self) -> Array:
         """The configuration that was commanded last."""
-        return self._commanded
+        return np.asarray(self._commanded)
 
     def opening_m(self, data: mujoco.MjData) -> float:
         """How far the pads are apart, as the joints tell [m]."""
