@@ -204,6 +204,12 @@ def view(
     output: Annotated[
         Path | None, typer.Option("--output", "-o", metavar="FILE.rrd", help="Save it; open nothing.")
     ] = None,
+    at: Annotated[
+        float | None,
+        typer.Option(
+            min=0.0, metavar="SECONDS", help="Where the picture's time cursor stands; default: the middle."
+        ),
+    ] = None,
     png: Annotated[
         Path | None,
         typer.Option("--png", metavar="FILE.png", help="Draw it into a picture; needs no screen."),
@@ -226,10 +232,16 @@ def view(
     record_view(opened, recall(opened, state.dataset), state, path, evidence)
     say(f"recording written to {path}")
     if png is not None:
-        render_episode_png(path, png)
+        render_episode_png(path, png, at_ns=round(at * 1e9) if at is not None else _middle_ns(opened, state))
         say(f"picture written to {png}")
     elif output is None:
         open_episode(path, url=url)
+
+
+def _middle_ns(store: Store, state: EpisodeState) -> int:
+    """The middle of an episode, from its start [ns]."""
+    row = store.get(state.tables["episodes"], Episodes).row(0, named=True)
+    return int(row["end_ns"] - row["start_ns"]) // 2
 
 
 def record(
