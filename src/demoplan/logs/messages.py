@@ -134,7 +134,7 @@ def by_channel(
         first = tally.take_indexes(topic, n_topic)
         if not is_wanted(topic):
             continue
-        is_topic = None if n_topic == len(codes) else np.isin(codes, members)
+        is_topic = None if n_topic == len(codes) else _are_any(codes, members)
         rows = np.arange(len(codes)) if is_topic is None else np.flatnonzero(is_topic)
         indexes = np.arange(first, first + n_topic, dtype=np.int64)
         for code in members:
@@ -154,3 +154,11 @@ def by_channel(
                 log_ns[picked],
                 None if publish_ns is None else publish_ns[picked],
             )
+
+
+def _are_any(codes: NDArray[np.integer], members: list[int]) -> NDArray[np.bool_]:
+    """Which codes are members: of few members, by comparing with each."""
+    is_such = codes == members[0]
+    for member in members[1:]:
+        is_such |= codes == member
+    return np.asarray(is_such)

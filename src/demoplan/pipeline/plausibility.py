@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import dataframely as dy
+import numpy as np
 import polars as pl
 
 from demoplan.errors import DataError
@@ -55,6 +56,8 @@ def _refuse_empty(topics: dy.DataFrame[Topics], mapping: Mapping) -> None:
 
 
 def _refuse_units(samples: dy.DataFrame[Samples], mapping: Mapping, params: PlausibilityParams) -> None:
+    if _is_within(samples, params):
+        return
     entities = set(mapping.entities)
     furthest = (
         samples.filter(pl.col("is_tracked") & pl.col("position_xyz_m").is_not_null() & ~pl.col("is_static"))
@@ -76,3 +79,20 @@ def _refuse_units(samples: dy.DataFrame[Samples], mapping: Mapping, params: Plau
                 f"topic {row['topic']}: {row['entity']} is never more than {row['far']:.3g} m from its "
                 "reference frame's origin: check the topic's `unit`"
             )
+
+
+def _is_within(samples: dy.DataFrame[Samples], params: PlausibilityParams) -> bool:
+    """Whether no reading is too far away, and no pose too near the origin: then no body is, either.
+
+    This takes a fraction of looking at each body by itself.
+    """
+    if not len(samples):
+        return True
+    position = np.abs(samples["position_xyz_m"].to_numpy())
+    # Coordinate by coordinate, since rows of three are slow to reduce; not a number is neither far nor near.
+    if np.fmax.reduce(position, axis=None) > params.reach_m:
+        return False
+    near = np.flatnonzero(position[:, 0] < params.least_extent_m)
+    near = near[(position[near] < params.least_extent_m).all(axis=1)]
+    kinds = samples["kind"].gather(near)
+    return not (samples["is_tracked"].gather(near) & (kinds == "pose")).any()

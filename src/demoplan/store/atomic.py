@@ -14,33 +14,50 @@ PART = ".part-"
 
 
 @contextlib.contextmanager
+def temporary_in(folder: Path, suffix: str) -> Iterator[Path]:
+    """An empty file in ``folder`` to write to; unless it was settled, it is gone when the block ends.
+
+    Raises:
+        StoreError: If the folder cannot be written.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        handle, name = tempfile.mkstemp(prefix=PART, suffix=suffix, dir=folder)
+    except OSError as error:
+        raise StoreError(f"cannot write into {folder}: {error.strerror or error}") from error
+    os.close(handle)
+    temporary = Path(name)
+    try:
+        yield temporary
+    except OSError as error:
+        raise StoreError(f"cannot write into {folder}: {error.strerror or error}") from error
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def settle(temporary: Path, path: Path) -> None:
+    """Let a written file, of the same file system, take the place of ``path``."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    descriptor = os.open(temporary, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+    temporary.chmod(0o644)
+    temporary.replace(path)
+    _flush_folder(path.parent)
+
+
+@contextlib.contextmanager
 def replacing(path: Path) -> Iterator[Path]:
     """A temporary sibling to write to; it takes the place of ``path`` when the block ends without error.
 
     Raises:
         StoreError: If the folder cannot be written.
     """
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(prefix=PART, suffix=path.suffix, dir=path.parent)
-    except OSError as error:
-        raise StoreError(f"cannot write into {path.parent}: {error.strerror or error}") from error
-    os.close(handle)
-    temporary = Path(name)
-    try:
+    with temporary_in(path.parent, path.suffix) as temporary:
         yield temporary
-        descriptor = os.open(temporary, os.O_RDONLY)
-        try:
-            os.fsync(descriptor)
-        finally:
-            os.close(descriptor)
-        temporary.chmod(0o644)
-        temporary.replace(path)
-        _flush_folder(path.parent)
-    except OSError as error:
-        raise StoreError(f"cannot write {path}: {error.strerror or error}") from error
-    finally:
-        temporary.unlink(missing_ok=True)
+        settle(temporary, path)
 
 
 def write_bytes(path: Path, data: bytes) -> None:

@@ -12,7 +12,7 @@ import pyarrow.parquet as pq
 
 from demoplan.errors import StoreError
 from demoplan.ids import ContentHash
-from demoplan.store.atomic import replacing
+from demoplan.store.atomic import settle, temporary_in
 from demoplan.tables.validating import is_typed, validated
 
 TABLE_FORMAT = "1"
@@ -44,13 +44,14 @@ class ObjectStore:
         """
         typed = table if is_typed(table, schema) else validated(table, schema)
         described = _described(typed.to_arrow(compat_level=pl.CompatLevel.oldest()), schema)
-        sink = pa.BufferOutputStream()
-        pq.write_table(described, sink, row_group_size=1 << 20, **_encodings(schema))
-        data = sink.getvalue()
-        content = ContentHash(hashlib.sha256(memoryview(data)).hexdigest())
-        if not self.has(content):
-            with replacing(self.path_of(content)) as temporary, temporary.open("wb") as file:
-                file.write(memoryview(data))
+        # Its name is not known before it is written; held in memory, it would cost more than it does on disk.
+        with temporary_in(self.root, ".parquet") as temporary:
+            with pa.OSFile(str(temporary), "wb") as sink:
+                pq.write_table(described, sink, row_group_size=1 << 20, **_encodings(schema))
+            with temporary.open("rb", buffering=0) as file:
+                content = ContentHash(hashlib.file_digest(file, "sha256").hexdigest())
+            if not self.has(content):
+                settle(temporary, self.path_of(content))
         return content
 
     def get(self, content: ContentHash, schema: type[Table]) -> dy.DataFrame[Table]:

@@ -130,11 +130,21 @@ def _streams(rows: pl.DataFrame, world: str, params: AlignParams) -> list[_Strea
         code = code.astype(np.int16)
     by_stream = np.argsort(code, kind="stable")
     bounds = np.flatnonzero(np.append(True, np.diff(code[by_stream]) != 0))
-    found: dict[tuple[str | bool, ...], NDArray[np.intp]] = {}
+    found: dict[tuple[str | bool, ...], slice | NDArray[np.intp]] = {}
     for start, end in zip(bounds, np.append(bounds[1:], len(by_stream)), strict=True):
         first = int(by_stream[start])
-        found[tuple(rows[key][first] for key in keys)] = by_stream[start:end]
+        found[tuple(rows[key][first] for key in keys)] = _evenly(by_stream[start:end])
     return [_stream(key, readings.take(found[key]), world, params) for key in sorted(found)]
+
+
+def _evenly(rows: NDArray[np.intp]) -> slice | NDArray[np.intp]:
+    """Rows as a slice where they are evenly spaced, as those of one body often are: nothing is copied."""
+    if len(rows) == 0:
+        return rows
+    first, last = int(rows[0]), int(rows[-1])
+    step = int(rows[1]) - first if len(rows) > 1 else 1
+    is_even = step > 0 and last - first == step * (len(rows) - 1) and bool(np.all(np.diff(rows) == step))
+    return slice(first, last + 1, step) if is_even else rows
 
 
 def _codes(column: pl.Series) -> Stamps:
@@ -173,7 +183,7 @@ class _Readings:
             rows["is_tracked"].to_numpy(),
         )
 
-    def take(self, rows: NDArray[np.intp]) -> "_Readings":
+    def take(self, rows: slice | NDArray[np.intp]) -> "_Readings":
         """Some rows, in the order given."""
         return _Readings(*(getattr(self, column.name)[rows] for column in fields(self)))
 
@@ -193,13 +203,18 @@ def _stream(key: tuple[object, ...], readings: _Readings, world: str, params: Al
         is_usable = np.isfinite(readings.grip)
     else:
         is_usable = are_known(readings.position_xyz_m) & (are_known(orientation) | ~readings.has_orientation)
-    kept = np.flatnonzero(is_usable & readings.is_tracked)
-    if np.any(np.diff(stamps[kept]) < 0):
+    is_usable &= readings.is_tracked
+    kept: slice | NDArray[np.intp] = slice(None) if is_usable.all() else np.flatnonzero(is_usable)
+    steps = np.diff(stamps[kept])
+    if np.any(steps < 0):
+        kept = np.arange(len(stamps))[kept]
         kept = kept[np.argsort(stamps[kept], kind="stable")]
+        steps = np.diff(stamps[kept])
     if is_static:
-        kept = kept[-1:]
-    elif len(kept) > 1:
-        kept = kept[np.append(True, np.diff(stamps[kept]) > 0)]
+        kept = np.arange(len(stamps))[kept][-1:]
+    elif not np.all(steps > 0):
+        kept = np.arange(len(stamps))[kept]
+        kept = kept[np.append(True, steps > 0)]
     return _Stream(
         topic=str(topic),
         kind=str(kind),

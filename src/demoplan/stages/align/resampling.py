@@ -67,13 +67,18 @@ def positions_at(near: Neighbours, values: Array) -> Array:
     """Readings ``(m, k)`` on the straight line between neighbours ``(n, k)``; NaN where none is near."""
     low, high = values[near.before], values[near.after]
     mixed = low + (high - low) * near.fraction[:, None]
-    return np.where(np.isfinite(near.age_ns)[:, None], mixed, np.nan)
+    return _where_near(near, mixed)
 
 
 def orientations_at(near: Neighbours, values_wxyz: Array) -> Array:
     """Orientations ``(m, 4)`` on the shorter arc between neighbours ``(n, 4)``; NaN where none is near."""
     mixed = slerp(values_wxyz[near.before], values_wxyz[near.after], near.fraction)
-    return np.where(np.isfinite(near.age_ns)[:, None], mixed, np.nan)
+    return _where_near(near, mixed)
+
+
+def _where_near(near: Neighbours, values: Array) -> Array:
+    is_near = np.isfinite(near.age_ns)
+    return values if is_near.all() else np.where(is_near[:, None], values, np.nan)
 
 
 def youngest(tracks: list[Track]) -> Track:
