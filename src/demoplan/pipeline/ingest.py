@@ -18,6 +18,7 @@ from demoplan.manifests.dataset import Episode
 from demoplan.manifests.labels import activities_of_labels
 from demoplan.manifests.mapping import Mapping
 from demoplan.pipeline.datasets import OpenDataset
+from demoplan.pipeline.memory import keep_memory
 from demoplan.pipeline.plausibility import refuse_implausible
 from demoplan.stages.align import AlignParams, align
 from demoplan.stages.perceive import PerceiveParams, perceive
@@ -143,6 +144,7 @@ def ingest_episode(job: IngestJob, *, may_work: bool = True) -> EpisodeState:
     Returns:
         What the store now holds of the episode. Nothing of the manifest is changed here.
     """
+    keep_memory()
     store = Store(job.store_root)
     tables = EpisodeTables(store, may_work=may_work)
     episode = job.episode
