@@ -236,18 +236,24 @@ def _box_to_box(a: Solid, b: Solid, exact_below_m: float) -> Array:
     over it, the corner's height is the distance: no other direction has to be tried. So it is of bodies that
     rest on each other, nearly always.
     """
+    # The larger box first: a smaller one mostly lies over one of its faces, which settles the matter.
+    if b.radius_m > a.radius_m:
+        a, b = b, a
     axes_a = [[a.rotation[:, row, i] for row in range(3)] for i in range(3)]
     axes_b = [[b.rotation[:, row, j] for row in range(3)] for j in range(3)]
     turn = [[_sum(u[0] * v[0], u[1] * v[1], u[2] * v[2]) for v in axes_b] for u in axes_a]
     away = [b.position_xyz_m[:, row] - a.position_xyz_m[:, row] for row in range(3)]
     apart_a = [_sum(u[0] * away[0], u[1] * away[1], u[2] * away[2]) for u in axes_a]
-    apart_b = [_sum(v[0] * away[0], v[1] * away[1], v[2] * away[2]) for v in axes_b]
     largest, is_settled = _gap_of_faces(turn, apart_a, a.half_xyz_m, b.half_xyz_m)
-    back = [[turn[i][j] for i in range(3)] for j in range(3)]
-    other, is_other_settled = _gap_of_faces(back, [-apart for apart in apart_b], b.half_xyz_m, a.half_xyz_m)
-    is_settled = np.where(other > largest, is_other_settled, is_settled)
-    largest = np.maximum(largest, other)
     rows = np.flatnonzero((largest < exact_below_m) & ~is_settled)
+    if len(rows):
+        every = len(rows) == len(largest)
+        back = [[turn[i][j] if every else turn[i][j][rows] for i in range(3)] for j in range(3)]
+        apart_b = [_sum(*(v[row][rows] * away[row][rows] for row in range(3))) for v in axes_b]
+        other, is_settled = _gap_of_faces(back, [-apart for apart in apart_b], b.half_xyz_m, a.half_xyz_m)
+        is_open = ~(is_settled & (other > largest[rows]))
+        largest[rows] = np.maximum(largest[rows], other)
+        rows = rows[is_open & (largest[rows] < exact_below_m)]
     if len(rows):
         largest[rows] = np.maximum(
             largest[rows],

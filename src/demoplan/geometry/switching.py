@@ -25,9 +25,18 @@ def hysteresis(enters: Bools, stays: Bools) -> Bools:
     >>> hysteresis(level >= 2, level >= 1).astype(int)
     array([0, 1, 1, 1, 0, 0, 0])
     """
+    # What never enters never holds; of many atoms, that is most.
+    if enters.ndim == 2:
+        is_entered = enters.any(axis=-1)
+        if not is_entered.all():
+            found = np.zeros(enters.shape, np.bool_)
+            if is_entered.any():
+                found[is_entered] = hysteresis(enters[is_entered], stays[is_entered])
+            return found
     # Events are numbered by their ticks, from 1, with what they do in the lowest bit: the latest one decides.
-    numbers = 2 * np.arange(1, enters.shape[-1] + 1)
-    latest = np.maximum.accumulate(np.where(enters | ~stays, numbers + enters, 0), axis=-1)
+    n = enters.shape[-1]
+    numbers = 2 * np.arange(1, n + 1, dtype=np.int32 if n < 2**30 - 1 else np.int64)
+    latest = np.maximum.accumulate((numbers + enters) * (enters | ~stays), axis=-1)
     return np.asarray((latest & 1).astype(np.bool_))
 
 

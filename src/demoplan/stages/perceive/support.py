@@ -35,35 +35,34 @@ def rests_on(bodies: Bodies, groundings: Groundings, numbers: Numbers, _: dict[s
     ``footprint_margin_m`` allows for noise at y's edge. Of several bodies that x could rest on, only the
     uppermost counts; x rests whether or not a hand holds it, and ceases beyond ``exit_m``.
     """
-    n_ticks = len(bodies.tick_ns)
-    gaps = np.full((len(groundings), n_ticks), np.nan)
-    tops = np.full((len(groundings), n_ticks), -np.inf)
-    observed = np.zeros((len(groundings), n_ticks), np.bool_)
-    lowest = {rider: heights(bodies.solids[rider])[0] for rider in {rider for rider, _ in groundings}}
+    shape = (len(groundings), len(bodies.tick_ns))
+    enters, stays, observed = (np.zeros(shape, np.bool_) for _ in range(3))
+    riders = {rider for rider, _ in groundings}
+    lowest = {rider: heights(bodies.solids[rider])[0] for rider in riders}
+    uppermost = {rider: np.full(shape[1], -np.inf) for rider in riders}
+    found = []
     for row, (rider, support) in enumerate(groundings):
-        riding, below = bodies.solids[rider], bodies.solids[support]
-        aside = np.hypot(*(riding.position_xyz_m - below.position_xyz_m).T[:2])
-        near = np.flatnonzero(aside <= below.radius_m + 2.0 * numbers["footprint_margin_m"])
-        if len(near):
-            over, low = riding.position_xyz_m, lowest[rider]
-            if len(near) < n_ticks:
-                over, low, below = over[near], low[near], below.take(near)
-            top = top_beneath(below, over, numbers["footprint_margin_m"])
-            gap = np.abs(low - top)
-            gaps[row, near] = gap
-            tops[row, near] = np.where(gap <= numbers["exit_m"], top, -np.inf)
         observed[row] = bodies.is_seen[rider] & bodies.is_seen[support]
-    uppermost: dict[int, np.typing.NDArray[np.float64]] = {}
-    for row, (rider, _support) in enumerate(groundings):
-        uppermost[rider] = np.maximum(uppermost.get(rider, np.full(n_ticks, -np.inf)), tops[row])
-    is_uppermost = (
-        np.stack([tops[row] >= uppermost[rider] for row, (rider, _support) in enumerate(groundings)])
-        if groundings
-        else np.zeros((0, n_ticks), np.bool_)
-    )
-    return Evidence(
-        (gaps <= numbers["enter_m"]) & is_uppermost, (gaps <= numbers["exit_m"]) & is_uppermost, observed
-    )
+        riding, below = bodies.solids[rider], bodies.solids[support]
+        x, y = (riding.position_xyz_m[:, axis] - below.position_xyz_m[:, axis] for axis in (0, 1))
+        near = np.flatnonzero(x * x + y * y <= (below.radius_m + 2.0 * numbers["footprint_margin_m"]) ** 2)
+        if not len(near):
+            continue
+        over, low = riding.position_xyz_m, lowest[rider]
+        if len(near) < shape[1]:
+            over, low, below = over.T[:, near].T, low[near], below.take(near)
+        top = top_beneath(below, over, numbers["footprint_margin_m"])
+        gap = np.abs(low - top)
+        is_close = gap <= numbers["exit_m"]
+        if not is_close.all():
+            near, gap, top = near[is_close], gap[is_close], top[is_close]
+        uppermost[rider][near] = np.maximum(uppermost[rider][near], top)
+        found.append((row, rider, near, gap, top))
+    for row, rider, near, gap, top in found:
+        is_uppermost = top >= uppermost[rider][near]
+        stays[row, near] = is_uppermost
+        enters[row, near] = is_uppermost & (gap <= numbers["enter_m"])
+    return Evidence(enters, stays, observed)
 
 
 def nothing_on(bodies: Bodies, groundings: Groundings, _: Numbers, known: dict[str, Known]) -> Evidence:
