@@ -122,8 +122,13 @@ def _episode(episode_id: str, rows: pl.DataFrame, mapping: Mapping, params: Alig
 def _streams(rows: pl.DataFrame, world: str, params: AlignParams) -> list[_Stream]:
     """Samples, sorted into streams; in the order of their names, so that the order of rows is forgotten."""
     keys = ["topic", "kind", "entity", "reference", "is_static"]
-    columns = np.stack([_codes(rows[key]) for key in keys])
-    code = np.ravel_multi_index(tuple(columns), tuple(columns.max(axis=1, initial=0) + 1))
+    code = np.zeros(len(rows), np.int64)
+    for key in keys:
+        # Most columns say one thing throughout, and part nothing.
+        if not (rows[key] == rows[key][0]).all():
+            codes = _codes(rows[key])
+            code = np.unique(code, return_inverse=True)[1] if code.max() > 2**31 else code
+            code = code * (int(codes.max()) + 1) + codes
     readings = _Readings.of(rows)
     if code.max(initial=0) < 2**15:
         # Small numbers are sorted by their digits, which takes a fraction of the time.
@@ -149,8 +154,6 @@ def _evenly(rows: NDArray[np.intp]) -> slice | NDArray[np.intp]:
 
 def _codes(column: pl.Series) -> Stamps:
     """Equal numbers for equal values ``(n,)``."""
-    if (column == column[0]).all():
-        return np.zeros(len(column), np.int64)
     if column.dtype == pl.String:
         column = column.cast(pl.Categorical)
     return np.asarray(column.to_physical().to_numpy(), np.int64)
@@ -198,10 +201,11 @@ def _stream(key: tuple[object, ...], readings: _Readings, world: str, params: Al
     stamps, stretches = steady(
         readings.stamp_ns, readings.log_ns, params.clock_jump_ns, params.longest_pause_ns
     )
-    orientation = normalised(readings.orientation_wxyz)
+    orientation = readings.orientation_wxyz
     if kind == "grip":
         is_usable = np.isfinite(readings.grip)
     else:
+        orientation = normalised(orientation)
         is_usable = are_known(readings.position_xyz_m) & (are_known(orientation) | ~readings.has_orientation)
     is_usable &= readings.is_tracked
     kept: slice | NDArray[np.intp] = slice(None) if is_usable.all() else np.flatnonzero(is_usable)
