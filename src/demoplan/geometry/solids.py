@@ -24,6 +24,8 @@ _RIM = np.array(
     ]
 )
 _N_PROJECTIONS = 40
+_CHUNK_ROWS = 4096
+"""Poses are gone through in chunks so that what is worked on stays in the processor's cache."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +80,7 @@ class Solid:
             return float(np.hypot(self.half_xyz_m[0], self.half_xyz_m[2]))
         return float(np.linalg.norm(self.half_xyz_m))
 
-    def take(self, rows: NDArray[np.intp]) -> "Solid":
+    def take(self, rows: NDArray[np.intp] | slice) -> "Solid":
         """The same solid, at some of its poses only."""
         # Along the last axis of the transposed arrays, so that entries stay together in memory.
         position = self.position_xyz_m.T[:, rows].T
@@ -115,15 +117,18 @@ def surface_distances(a: Solid, b: Solid, exact_below_m: float = np.inf) -> Arra
     near = np.flatnonzero(distances < exact_below_m)
     if len(near) == 0:
         return distances
-    near_a, near_b = (a, b) if len(near) == len(distances) else (a.take(near), b.take(near))
-    if round_a or round_b:
-        ball, other = (near_a, near_b) if round_a else (near_b, near_a)
-        exact = _point_to(other, ball.position_xyz_m) - ball.radius_m
-    elif a.kind == b.kind == "box":
-        exact = _box_to_box(near_a, near_b, exact_below_m)
-    else:
-        exact = _by_projections(near_a, near_b)
-    distances[near] = np.maximum(exact, 0.0)
+    every = len(near) == len(distances)
+    for start in range(0, len(near), _CHUNK_ROWS):
+        rows = slice(start, start + _CHUNK_ROWS) if every else near[start : start + _CHUNK_ROWS]
+        near_a, near_b = a.take(rows), b.take(rows)
+        if round_a or round_b:
+            ball, other = (near_a, near_b) if round_a else (near_b, near_a)
+            exact = _point_to(other, ball.position_xyz_m) - ball.radius_m
+        elif a.kind == b.kind == "box":
+            exact = _box_to_box(near_a, near_b, exact_below_m)
+        else:
+            exact = _by_projections(near_a, near_b)
+        distances[rows] = np.maximum(exact, 0.0)
     return distances
 
 
@@ -164,6 +169,11 @@ def top_beneath(support: Solid, points_xyz_m: Array, margin_m: float = 0.0) -> A
     Returns:
         Heights; NaN where the line misses the solid, or a pose is not known.
     """
+    if len(points_xyz_m) > _CHUNK_ROWS:
+        chunks = [slice(i, i + _CHUNK_ROWS) for i in range(0, len(points_xyz_m), _CHUNK_ROWS)]
+        return np.concatenate(
+            [top_beneath(support.take(rows), points_xyz_m[rows], margin_m) for rows in chunks]
+        )
     half = support.half_xyz_m
     away = points_xyz_m - support.position_xyz_m
     if support.kind == "point":
@@ -175,16 +185,20 @@ def top_beneath(support: Solid, points_xyz_m: Array, margin_m: float = 0.0) -> A
     # Line o + t·u in the body's axes; it is inside a slab for t between the two crossings of its faces.
     origin = _turned_back(support.rotation, away)
     upward = support.rotation[:, 2, :]
-    slope = np.where(np.abs(upward) < 1e-9, 1e-9, upward)
-    first = (-half - margin_m - origin) / slope
-    second = (half + margin_m - origin) / slope
-    enters = np.minimum(first, second).max(axis=1)
-    leaves = np.maximum(first, second).min(axis=1)
+    enters, leaves, steepest = np.full(len(away), -np.inf), np.full(len(away), np.inf), np.zeros(len(away))
+    for axis in range(3):
+        along = np.abs(upward[:, axis])
+        slope = np.where(along < 1e-9, 1e-9, upward[:, axis])
+        first = (-half[axis] - margin_m - origin[:, axis]) / slope
+        second = (half[axis] + margin_m - origin[:, axis]) / slope
+        np.maximum(enters, np.minimum(first, second), out=enters)
+        np.minimum(leaves, np.maximum(first, second), out=leaves)
+        np.maximum(steepest, along, out=steepest)
     hits = enters <= leaves
     if support.kind == "cylinder":
         at_top = origin + leaves[:, None] * upward
         hits &= np.hypot(at_top[:, 0], at_top[:, 1]) <= half[0] + margin_m + 1e-9
-    top = points_xyz_m[:, 2] + leaves - margin_m / np.abs(upward).max(axis=1)
+    top = points_xyz_m[:, 2] + leaves - margin_m / steepest
     return np.where(hits, top, np.nan)
 
 
