@@ -69,15 +69,19 @@ def slerp(start_wxyz: Array, end_wxyz: Array, fraction: Array) -> Array:
     Source: K. Shoemake, "Animating rotation with quaternion curves", SIGGRAPH 1985,
     doi:10.1145/325334.325242, section 3.3.
     """
-    dots = np.einsum("ni,ni->n", start_wxyz, end_wxyz)[:, None]
-    end_wxyz = np.where(dots < 0, -end_wxyz, end_wxyz)
-    angle = np.arccos(np.clip(np.abs(dots), 0.0, 1.0))
-    sine = np.sin(angle)
-    t = fraction[:, None]
+    dots = np.einsum("ni,ni->n", start_wxyz, end_wxyz)
+    is_opposite = dots < 0
+    if is_opposite.any():
+        end_wxyz = np.where(is_opposite[:, None], -end_wxyz, end_wxyz)
+    angle = np.arccos(np.minimum(np.abs(dots), 1.0))
+    sine, rest = np.sin(angle), 1.0 - fraction
+    weight_start, weight_end = np.sin(rest * angle), np.sin(fraction * angle)
     is_close = sine < 1e-6
-    safe = np.where(is_close, 1.0, sine)
-    weight_start = np.where(is_close, 1.0 - t, np.sin((1.0 - t) * angle) / safe)
-    weight_end = np.where(is_close, t, np.sin(t * angle) / safe)
+    if is_close.any():
+        sine = np.where(is_close, 1.0, sine)
+        weight_start = np.where(is_close, rest, weight_start)
+        weight_end = np.where(is_close, fraction, weight_end)
+    weight_start, weight_end = (weight_start / sine)[:, None], (weight_end / sine)[:, None]
     return normalised(weight_start * start_wxyz + weight_end * end_wxyz)
 
 
@@ -104,17 +108,14 @@ def matrices(quaternions_wxyz: Array) -> Array:
     Each entry lies together in memory for all matrices, so that arithmetic entry by entry is fast.
     """
     w, x, y, z = np.ascontiguousarray(np.moveaxis(quaternions_wxyz, -1, 0))
-    result = np.moveaxis(np.empty((3, 3, *quaternions_wxyz.shape[:-1])), (0, 1), (-2, -1))
-    result[..., 0, 0] = 1 - 2 * (y * y + z * z)
-    result[..., 0, 1] = 2 * (x * y - w * z)
-    result[..., 0, 2] = 2 * (x * z + w * y)
-    result[..., 1, 0] = 2 * (x * y + w * z)
-    result[..., 1, 1] = 1 - 2 * (x * x + z * z)
-    result[..., 1, 2] = 2 * (y * z - w * x)
-    result[..., 2, 0] = 2 * (x * z - w * y)
-    result[..., 2, 1] = 2 * (y * z + w * x)
-    result[..., 2, 2] = 1 - 2 * (x * x + y * y)
-    return result
+    entries = np.empty((3, 3, *quaternions_wxyz.shape[:-1]))
+    xx, yy, zz = x * x, y * y, z * z
+    for i, one, other in ((0, yy, zz), (1, xx, zz), (2, xx, yy)):
+        entries[i, i] = 1 - 2 * (one + other)
+    for i, j, even, odd in ((1, 0, x * y, w * z), (0, 2, x * z, w * y), (2, 1, y * z, w * x)):
+        entries[i, j] = 2 * (even + odd)
+        entries[j, i] = 2 * (even - odd)
+    return np.moveaxis(entries, (0, 1), (-2, -1))
 
 
 def compose(

@@ -82,9 +82,11 @@ class Solid:
 
     def take(self, rows: NDArray[np.intp] | slice) -> "Solid":
         """The same solid, at some of its poses only."""
+        if isinstance(rows, slice):
+            return Solid(self.kind, self.half_xyz_m, self.position_xyz_m[rows], self.rotation[rows])
         # Along the last axis of the transposed arrays, so that entries stay together in memory.
         position = self.position_xyz_m.T[:, rows].T
-        rotation = np.moveaxis(np.moveaxis(self.rotation, 0, -1)[..., rows], -1, 0)
+        rotation = self.rotation.transpose(1, 2, 0)[..., rows].transpose(2, 0, 1)
         return Solid(self.kind, self.half_xyz_m, position, rotation)
 
 
@@ -221,6 +223,13 @@ def _turned_back(rotation: Array, vectors: Array) -> Array:
 
 
 def _in_world(solid: Solid, points_in_body_m: Array) -> Array:
+    if points_in_body_m.ndim == 2:
+        x, y, z = points_in_body_m.T
+        world = np.empty((3, len(points_in_body_m)))
+        for axis in range(3):
+            row = solid.rotation[:, axis]
+            world[axis] = row[:, 0] * x + row[:, 1] * y + row[:, 2] * z + solid.position_xyz_m[:, axis]
+        return world.T
     middle = solid.position_xyz_m.reshape(-1, *(1,) * (points_in_body_m.ndim - 2), 3)
     return np.asarray(np.einsum("nij,n...j->n...i", solid.rotation, points_in_body_m) + middle)
 

@@ -48,12 +48,15 @@ class Bodies:
 
     def velocity(self, bodies: Sequence[int]) -> Array:
         """Velocities of tracked origins [m/s] ``(k, n, 3)``; NaN where the pose is not known."""
+        self._fit_velocities(bodies)
+        return np.stack([self._velocities[body] for body in bodies])
+
+    def _fit_velocities(self, bodies: Sequence[int]) -> None:
         missing = [body for body in bodies if body not in self._velocities]
         if missing:
             found = velocities(self.position_xyz_m[missing], self.tick_s, self.velocity_window_s)
             found[~self.is_seen[missing]] = np.nan
             self._velocities.update(zip(missing, found, strict=True))
-        return np.stack([self._velocities[body] for body in bodies])
 
     def speed(self, bodies: Sequence[int]) -> Array:
         """Speeds of tracked origins [m/s] ``(k, n)``; NaN where the pose is not known."""
@@ -66,13 +69,15 @@ class Bodies:
         """
         is_every = len(ticks) == len(self.tick_ns)
         middle = self.solids[one].position_xyz_m
-        middle = middle if is_every else middle[ticks]
+        middle = middle if is_every else middle.T[:, ticks].T
         way = (
             nearest_points(self.solids[other] if is_every else self.solids[other].take(ticks), middle)
             - middle
         )
-        length = np.linalg.norm(way, axis=-1)
-        along = np.einsum("ni,ni->n", self.velocity([one])[0][ticks], way)
+        length = np.sqrt(way[:, 0] ** 2 + way[:, 1] ** 2 + way[:, 2] ** 2)
+        self._fit_velocities([one])
+        velocity = self._velocities[one]
+        along = np.einsum("ni,ni->n", velocity if is_every else velocity[ticks], way)
         return np.where(
             length > 1e-9, along / np.maximum(length, 1e-9), np.where(np.isnan(length), np.nan, 0.0)
         )
