@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from demoplan.logs.definitions import Node, Number, Record, Repeated, Text
-from demoplan.logs.messages import Bytes, Times
+from demoplan.logs.messages import Bytes, Times, stretches
 
 EACH = "*"
 """Path step into every element of a list."""
@@ -384,7 +384,7 @@ def _rows(buffer: Bytes, starts: Times, length: int) -> Bytes:
             return np.lib.stride_tricks.as_strided(
                 buffer[int(starts[0]) :], (len(starts), length), (stride, 1), writeable=False
             )
-    return np.lib.stride_tricks.sliding_window_view(buffer, length)[starts]
+    return stretches(buffer, starts, length)
 
 
 def numbers(rows: Bytes, places: list[list[Place]]) -> NDArray[np.float64]:

@@ -18,7 +18,17 @@ import numpy as np
 from demoplan.errors import LogError
 from demoplan.logs import compression
 from demoplan.logs.compression import BrokenStreamError, Part, UnknownCompressionError
-from demoplan.logs.messages import MOST_BYTES, Block, Bytes, Channel, Tally, Times, TopicFilter, by_channel
+from demoplan.logs.messages import (
+    MOST_BYTES,
+    Block,
+    Bytes,
+    Channel,
+    Tally,
+    Times,
+    TopicFilter,
+    by_channel,
+    stretches,
+)
 
 MAGIC = b"\x89MCAP0\r\n"
 
@@ -320,9 +330,7 @@ class McapFile:
 
 def _heads(buffer: Bytes, starts: Times) -> np.ndarray:
     """Heads of the message records at ``starts``, as a structured array."""
-    width = _MESSAGE_HEAD.itemsize
-    windows = np.lib.stride_tricks.sliding_window_view(buffer, width)
-    return windows[starts].view(_MESSAGE_HEAD)[:, 0]
+    return stretches(buffer, starts, _MESSAGE_HEAD.itemsize).view(_MESSAGE_HEAD)[:, 0]
 
 
 def _string(data: bytes, pos: int) -> tuple[str, int]:

@@ -156,6 +156,18 @@ def by_channel(
             )
 
 
+def stretches(buffer: Bytes, starts: Times, length: int) -> Bytes:
+    """The ``length`` bytes from each start on, copied ``(n, length)``; each is moved as one value.
+
+    Raises:
+        ValueError: If the buffer is shorter than that.
+        IndexError: If a stretch would not lie within it.
+    """
+    n_places = len(buffer) - length + 1
+    places = np.ndarray((n_places,), f"V{length}", buffer=np.ascontiguousarray(buffer), strides=(1,))
+    return places[starts].view(np.uint8).reshape(len(starts), length)
+
+
 def _are_any(codes: NDArray[np.integer], members: list[int]) -> NDArray[np.bool_]:
     """Which codes are members: of few members, by comparing with each."""
     is_such = codes == members[0]
