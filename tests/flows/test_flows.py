@@ -45,7 +45,9 @@ def artifacts(prefix=""):
 
     async def read():
         async with get_client() as client:
-            return {a.key: a for a in await client.read_artifacts() if a.key and a.key.startswith(prefix)}
+            found = await client.read_artifacts()
+            newest_last = sorted(found, key=lambda artifact: artifact.created)
+            return {a.key: a for a in newest_last if a.key and a.key.startswith(prefix)}
 
     return asyncio.run(read())
 
