@@ -169,7 +169,4 @@ def _solid(shape: Shape, positions: Array, orientations: Array) -> Solid:
 def _matrix(column: pl.Series, n_bodies: int, n_ticks: int, width: int) -> Array:
     if column.null_count() == len(column):
         return np.full((n_bodies, n_ticks, width), np.nan)
-    if column.null_count():
-        column = column.fill_null([None] * width)
-    flat = column.reshape((-1,)).to_numpy()
-    return np.asarray(flat, np.float64).reshape(n_bodies, n_ticks, width)
+    return np.asarray(column.to_numpy(), np.float64).reshape(n_bodies, n_ticks, width)
