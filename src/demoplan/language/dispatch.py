@@ -1,8 +1,8 @@
 """A plan as a graph of what must wait for what, so that independent steps may run at once.
 
 Source: the plan graph of ROSPlan's Esterel dispatcher, with condition and interference edges: M. Cashmore et
-al., "ROSPlan: Planning in the Robot Operating System", ICAPS 2015. That the steps which support each condition
-are all that a partial order needs to keep, besides threats to them: C. Bäckström, "Computational aspects of
+al., "ROSPlan: Planning in the Robot Operating System", ICAPS 2015. That the steps which support each
+condition are all that a partial order needs to keep, besides threats to them: C. Bäckström, "Computational aspects of
 reordering plans", JAIR 9, 1998, doi:10.1613/jair.477.
 """
 
