@@ -2,8 +2,8 @@
 
 Source: the plan graph of ROSPlan's Esterel dispatcher, with condition and interference edges: M. Cashmore et
 al., "ROSPlan: Planning in the Robot Operating System", ICAPS 2015. That the steps which support each
-condition are all that a partial order needs to keep, besides threats to them: C. Bäckström, "Computational aspects of
-reordering plans", JAIR 9, 1998, doi:10.1613/jair.477.
+condition are all that a partial order needs to keep, besides threats to them: C. Bäckström,
+"Computational aspects of reordering plans", JAIR 9, 1998, doi:10.1613/jair.477.
 """
 
 from collections.abc import Collection, Iterable
