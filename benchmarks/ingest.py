@@ -35,7 +35,13 @@ ROOT = Path(__file__).resolve().parents[1]
 DATASET = ROOT / "datasets" / "cube-stacking"
 EPISODES = {"mcap": "p1-two-right", "rosbag2": "p2-two-right", "rosbag1": "p3-two-right"}
 STAGES = ("read", "align", "perceive", "segment")
-_ONE_THREAD = {"POLARS_MAX_THREADS": "1", "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+_ONE_THREAD = {
+    "POLARS_MAX_THREADS": "1",
+    "OMP_NUM_THREADS": "1",
+    "OPENBLAS_NUM_THREADS": "1",
+    # As the command line sets it, for both ways.
+    "_RJEM_MALLOC_CONF": "dirty_decay_ms:10000,muzzy_decay_ms:10000",
+}
 
 
 def opened_dataset():
