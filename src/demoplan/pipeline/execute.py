@@ -1,6 +1,6 @@
 """A goal to an execution: plan, dispatch, monitor, diagnose, plan again, and say honestly how it ended."""
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 import dataframely as dy
 import polars as pl
@@ -87,16 +87,13 @@ def execute(
         "is_goal_sensed": executor.is_goal_sensed(),
         "outcome": ended.outcome,
         "reason": ended.reason or None,
-        "n_plans": executor.n_plans,
-        "n_steps": executor.n_steps,
-        "n_discrepancies": executor.n_discrepancies,
-        "n_passed": executor.n_passed,
-        "n_false_alarms": executor.n_false_alarms,
-        "n_unsound": executor.n_unsound,
-        "diagnosed": executor.diagnosed,
+        **asdict(executor.counts),
+        "diagnosed": executor.discrepancies.diagnosed,
         "simulated_s": session.time_ns / 1e9,
     }
-    return Executed(run=run_rows([run]), steps=step_rows(executor.rows), frames=executor.senses.frames(-1))
+    return Executed(
+        run=run_rows([run]), steps=step_rows(executor.noted.rows), frames=executor.senses.frames(-1)
+    )
 
 
 def run_rows(rows: list[dict[str, object]]) -> dy.DataFrame[Runs]:
