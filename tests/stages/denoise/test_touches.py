@@ -30,6 +30,7 @@ def test_segments_hold_what_was_seen_between_touches(courier, hidden):
     codes, over = GroundCodes(traces), candidates(traces.signatures)
     chosen = spans(traces, params)
     touches = touch(traces, chosen, over, codes)
+    timelines = touches.timelines
     code_of = codes.of_atoms(traces).tolist()
     true = {
         (state, code_of[atom])
@@ -49,14 +50,14 @@ def test_segments_hold_what_was_seen_between_touches(courier, hidden):
         return n_true, n_false
 
     for line, code in enumerate(touches.timeline_code.tolist()):
-        mine = np.flatnonzero(touches.touch_timeline == line)
+        mine = np.flatnonzero(timelines.touch_timeline == line)
         at = touches.touch_state[mine].tolist()
         span = touches.timeline_span[line]
         first, last = int(chosen.first[span]), int(chosen.last[span])
-        assert (touches.before_true[line], touches.before_false[line]) == seen(code, first, at[0])
+        assert (timelines.before_true[line], timelines.before_false[line]) == seen(code, first, at[0])
         for place, row in enumerate(mine):
             end = at[place + 1] if place + 1 < len(at) else last
-            assert (touches.after_true[row], touches.after_false[row]) == seen(code, at[place] + 1, end)
+            assert (timelines.after_true[row], timelines.after_false[row]) == seen(code, at[place] + 1, end)
 
 
 def test_spans_cut_long_traces_and_stop_when_every_action_has_enough(courier):

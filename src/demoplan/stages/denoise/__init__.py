@@ -1,7 +1,7 @@
 """Symbolic traces with misreadings to operators, every literal with its probability; noise is estimated.
 
 ``candidates`` are the literals an action may have; ``touches`` are the moments at which an action could have
-changed a ground atom; ``chains`` follow each atom between its touches; ``beliefs`` say what each literal is;
+changed a ground atom; ``demoplan.inference`` says what each literal is; ``snapshots`` are clean states;
 ``implications`` leave out conditions that say nothing new; ``learning`` puts them into tables.
 """
 

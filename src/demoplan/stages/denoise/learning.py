@@ -7,10 +7,10 @@ import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
+from demoplan.inference import ADD, DELETE, KEEP, Beliefs, believe
 from demoplan.language.atoms import Atom, Literal
 from demoplan.language.traces import TraceSet
 from demoplan.language.traces.values import Codes
-from demoplan.stages.denoise.beliefs import ADD, DELETE, KEEP, Beliefs, believe
 from demoplan.stages.denoise.counts import Counts, count
 from demoplan.stages.denoise.implications import Implications, Rules, needed
 from demoplan.stages.denoise.params import DenoiseParams
@@ -100,13 +100,14 @@ def conclude(gathered: Gathered, params: DenoiseParams = DenoiseParams()) -> Den
     codes = GroundCodes(traces)
     chosen = spans(traces, params)
     touches = touch(traces, chosen, over, codes)
-    beliefs = believe(touches, over, len(traces.signatures.predicates), params)
+    predicate = np.array([each.predicate for each in over], dtype=np.int64)
+    beliefs = believe(touches.timelines, predicate, len(traces.signatures.predicates), params)
     n_actions = len(traces.signatures.actions)
     owner = np.array([each.action for each in over], dtype=np.int64)
     is_seen = gathered.counts.n_transitions[owner] > 0
     verdicts = _verdicts(over, beliefs, params)
     implications = None
-    if params.is_minimal and len(touches.entry_touch):
+    if params.is_minimal and len(touches.timelines.entry_touch):
         seen = snapshots(traces, chosen, touches, beliefs, codes, params)
         rules = Rules(
             conditions=_by_action(over, verdicts.is_condition & is_seen, n_actions),
@@ -146,12 +147,7 @@ class _Verdicts:
 
 
 def _verdicts(over: tuple[Candidate, ...], beliefs: Beliefs, params: DenoiseParams) -> _Verdicts:
-    hypotheses = beliefs.hypotheses
-    required = beliefs.roles[:, hypotheses.condition == 1].sum(axis=1)
-    avoided = beliefs.roles[:, hypotheses.condition == -1].sum(axis=1)
-    effects = np.stack(
-        [beliefs.roles[:, hypotheses.effect == each].sum(axis=1) for each in (KEEP, ADD, DELETE)], axis=1
-    )
+    required, avoided, effects = beliefs.required, beliefs.avoided, beliefs.effects
     effect = effects.argmax(axis=1)
     action = np.array([each.action for each in over], dtype=np.int64)
     for each in np.unique(action):

@@ -4,9 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from demoplan.inference import Beliefs
 from demoplan.language.traces import TraceSet
 from demoplan.language.traces.values import Codes
-from demoplan.stages.denoise.beliefs import Beliefs
 from demoplan.stages.denoise.params import DenoiseParams
 from demoplan.stages.denoise.touches import GroundCodes, Spans, Touches
 
@@ -84,11 +84,13 @@ def _touched(
     sizes = high - low
     timeline = by_span[np.repeat(low - np.r_[0, np.cumsum(sizes)[:-1]], sizes) + np.arange(sizes.sum())]
     at = np.repeat(np.arange(len(state)), sizes)
-    key = touches.touch_timeline * traces.n_states + touches.touch_state
-    last = np.searchsorted(key, timeline * traces.n_states + state[at], side="left") - 1
-    is_after = (last >= 0) & (touches.touch_timeline[np.maximum(last, 0)] == timeline)
+    key = touches.timelines.touch_timeline * traces.n_states + touches.touch_state
+    by_time = np.argsort(key, kind="stable")
+    last = np.searchsorted(key[by_time], timeline * traces.n_states + state[at], side="left") - 1
+    touch = by_time[np.maximum(last, 0)]
+    is_after = (last >= 0) & (touches.timelines.touch_timeline[touch] == timeline)
     messages = beliefs.messages
-    probability = np.where(is_after, messages.true_after[np.maximum(last, 0)], messages.true_before[timeline])
+    probability = np.where(is_after, messages.true_after[touch], messages.true_before[timeline])
     return touches.timeline_code[timeline], probability, at
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from demoplan.errors import DataError
+from demoplan.inference import Timelines
 from demoplan.language.atoms import Atom
 from demoplan.language.traces import TraceSet
 from demoplan.language.traces.values import Codes, Signatures
@@ -31,27 +32,15 @@ class Candidate:
 
 @dataclass(frozen=True, eq=False)
 class Touches:
-    """Entries (candidate × instance) of touches (ground atom × time), and the segments between touches.
+    """Timelines of ground atoms over spans, and which atom, span and state their rows stand for."""
 
-    Touches are sorted by timeline (span × ground atom), then time. ``before_…`` are the counts of the segment
-    that precedes a timeline's first touch; ``after_…`` of the segment that follows each touch.
-    """
-
-    entry_touch: Codes
-    """``(n_entries,)``, not decreasing."""
-    entry_candidate: Codes
-    touch_timeline: Codes
+    timelines: Timelines
+    """Literals are candidates; a timeline is one ground atom in one span."""
     touch_state: Codes
+    """``(n_touches,)``: the state before."""
     timeline_code: Codes
     """``(n_timelines,)`` code of the ground atom, see ``GroundCodes``."""
     timeline_span: Codes
-    timeline_predicate: Codes
-    before_true: NDArray[np.float64]
-    before_false: NDArray[np.float64]
-    after_true: NDArray[np.float64]
-    after_false: NDArray[np.float64]
-    ranks: tuple[Codes, ...]
-    """Touches that are first, second, third … on their timelines."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,38 +149,43 @@ def touch(traces: TraceSet, chosen: Spans, over: tuple[Candidate, ...], codes: G
     )
     state_span[inside] = np.repeat(np.arange(n_spans), for_each)
     state, code, candidate = _instances(traces, state_span, over, codes)
-    span = state_span[state]
     code_values, code_index = np.unique(code, return_inverse=True)
-    timeline_key, timeline = np.unique(code_index * n_spans + span, return_inverse=True)
+    key, timeline = np.unique(code_index * n_spans + state_span[state], return_inverse=True)
     touch_key, entry_touch = np.unique(timeline * n_states + state, return_inverse=True)
-    order = np.argsort(entry_touch, kind="stable")
-    touch_timeline, touch_state = touch_key // n_states, touch_key % n_states
-    timeline_span = timeline_key % n_spans
-    timeline_code = code_values[timeline_key // n_spans]
-    count = _Counter(traces, state_span, codes, code_values, timeline_key, n_spans)
-    is_first = np.r_[True, touch_timeline[1:] != touch_timeline[:-1]][: len(touch_key)]
-    starts = np.flatnonzero(is_first)
-    before = count(np.arange(len(timeline_key)), chosen.first[timeline_span], touch_state[starts])
-    ends = np.where(
-        np.r_[is_first[1:], True], chosen.last[timeline_span[touch_timeline]], np.r_[touch_state[1:], 0]
-    )
+    touch_timeline, touch_state = np.divmod(touch_key, max(n_states, 1))
+    span = key % n_spans
+    count = _Counter(traces, state_span, codes, code_values, key, n_spans)
+    sizes = np.bincount(touch_timeline, minlength=len(key))
+    starts = np.cumsum(sizes) - sizes
+    before = count(np.arange(len(key)), chosen.first[span], touch_state[starts])
+    is_last = np.zeros(len(touch_key), dtype=np.bool_)
+    is_last[starts + sizes - 1] = True
+    ends = np.where(is_last, chosen.last[span[touch_timeline]], np.r_[touch_state[1:], 0][: len(touch_key)])
     after = count(touch_timeline, touch_state + 1, ends)
-    sizes = np.diff(np.r_[starts, len(touch_key)])
-    rank = np.arange(len(touch_key)) - np.repeat(starts, sizes)
-    by_rank = np.split(np.argsort(rank, kind="stable"), np.cumsum(np.bincount(rank))[:-1])
+    # So far timelines stood in order of their atoms, and touches in order of time; see ``Timelines``.
+    order = np.argsort(-sizes, kind="stable")
+    new_timeline = np.empty(len(key), dtype=np.int64)
+    new_timeline[order] = np.arange(len(key))
+    rank = np.arange(len(touch_key)) - starts[touch_timeline]
+    n_by_rank = np.bincount(rank)
+    place = (np.cumsum(n_by_rank) - n_by_rank)[rank] + new_timeline[touch_timeline]
+    by_place = np.empty(len(touch_key), dtype=np.int64)
+    by_place[place] = np.arange(len(touch_key))
+    timeline_code = code_values[key[order] // n_spans]
     return Touches(
-        entry_touch=entry_touch[order],
-        entry_candidate=candidate[order],
-        touch_timeline=touch_timeline,
-        touch_state=touch_state,
+        timelines=Timelines(
+            n_by_rank=tuple(n_by_rank.tolist()),
+            timeline_predicate=codes.predicate_of(timeline_code),
+            before_true=before[0][order],
+            before_false=before[1][order],
+            after_true=after[0][by_place],
+            after_false=after[1][by_place],
+            entry_literal=candidate,
+            entry_touch=place[entry_touch],
+        ),
+        touch_state=touch_state[by_place],
         timeline_code=timeline_code,
-        timeline_span=timeline_span,
-        timeline_predicate=codes.predicate_of(timeline_code),
-        before_true=before[0],
-        before_false=before[1],
-        after_true=after[0],
-        after_false=after[1],
-        ranks=tuple(by_rank),
+        timeline_span=span[order],
     )
 
 
