@@ -1,10 +1,7 @@
 """Logs to facts, by episode: what is up to date is skipped, what is bad is set aside with its reason."""
 
 import json
-import multiprocessing
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
@@ -12,13 +9,16 @@ import dataframely as dy
 import polars as pl
 
 from demoplan.errors import DataError, DemoplanError, LogError, StoreError
+from demoplan.ids import ContentHash
 from demoplan.language.vocabulary import Vocabulary
 from demoplan.logs import fingerprint, open_log
 from demoplan.manifests.dataset import Episode
 from demoplan.manifests.labels import activities_of_labels
 from demoplan.manifests.mapping import Mapping
+from demoplan.pipeline.crews import Crew, Processes
 from demoplan.pipeline.datasets import OpenDataset
 from demoplan.pipeline.memory import keep_memory
+from demoplan.pipeline.orders import IngestOrder, Setting, keep_setting, setting_of
 from demoplan.pipeline.plausibility import refuse_implausible
 from demoplan.stages.align import AlignParams, align
 from demoplan.stages.perceive import PerceiveParams, perceive
@@ -147,8 +147,6 @@ def ingest_episode(job: IngestJob, *, may_work: bool = True) -> EpisodeState:
     keep_memory()
     store = Store(job.store_root)
     tables = EpisodeTables(store, may_work=may_work)
-    episode = job.episode
-    state = EpisodeState(dataset=job.dataset, episode_id=episode.id)
     sha256: str | None = None
     try:
         sha256 = log_hash(job)
@@ -158,6 +156,14 @@ def ingest_episode(job: IngestJob, *, may_work: bool = True) -> EpisodeState:
         raise
     except (DemoplanError, pl.exceptions.PolarsError, dy.exc.ValidationError) as error:
         status, reason = "quarantined", str(error)
+    return _settled(job, tables, sha256, status, reason)
+
+
+def _settled(
+    job: IngestJob, tables: EpisodeTables, sha256: str | None, status: str, reason: str | None
+) -> EpisodeState:
+    """What the store now holds of an episode, with its row in the table of episodes."""
+    store, episode = tables.store, job.episode
     extent = _extent(tables)
     row = pl.DataFrame(
         {
@@ -183,7 +189,15 @@ def ingest_episode(job: IngestJob, *, may_work: bool = True) -> EpisodeState:
     )
     contents = tables.contents | {"episodes": str(store.objects.put(row, Episodes))}
     attempt = tables.attempt if status == "quarantined" else None
-    return replace(state, tables=contents, keys=tables.keys, status=status, reason=reason, attempt=attempt)
+    return EpisodeState(
+        dataset=job.dataset,
+        episode_id=episode.id,
+        tables=contents,
+        keys=tables.keys,
+        status=status,
+        reason=reason,
+        attempt=attempt,
+    )
 
 
 def log_hash(job: IngestJob) -> str:
@@ -291,18 +305,28 @@ def _extent(tables: EpisodeTables) -> tuple[int | None, int | None]:
 
 
 def ingest(
-    jobs: Sequence[IngestJob], *, n_workers: int, on_done: Callable[[EpisodeState], None]
+    jobs: Sequence[IngestJob],
+    *,
+    n_workers: int = 1,
+    crew: Crew | None = None,
+    on_done: Callable[[EpisodeState], None],
 ) -> list[EpisodeState]:
-    """Ingest episodes on several processes, and write what became of each into the manifest as it ends.
+    """Ingest episodes, and write what became of each into the manifest as it ends.
 
     A process that dies takes only its own episode with it: that one is quarantined, the others go on.
+
+    Args:
+        jobs: What to ingest.
+        n_workers: Processes of this machine.
+        crew: Who works in place of these processes.
+        on_done: Called with each episode as it ends.
     """
     states: list[EpisodeState] = []
     if not jobs:
         return states
     manifest = Store(jobs[0].store_root).manifest
     before = {(state.dataset, state.episode_id): state for state in manifest.episodes()}
-    for found in _run(jobs, n_workers):
+    for found in _run(jobs, crew or Processes(n_workers)):
         state = _with_what_still_holds(found, before.get((found.dataset, found.episode_id)))
         manifest.update([state])
         states.append(state)
@@ -321,46 +345,71 @@ def _with_what_still_holds(new: EpisodeState, old: EpisodeState | None) -> Episo
     return replace(new, tables=later | new.tables, keys=keys | new.keys)
 
 
-def _run(jobs: Sequence[IngestJob], n_workers: int) -> Iterator[EpisodeState]:
-    # Finding that nothing is stale is quicker than starting a process.
-    waiting = []
+def _run(jobs: Sequence[IngestJob], crew: Crew) -> Iterator[EpisodeState]:
+    # Finding that nothing is stale is quicker than giving it to another process.
+    waiting: dict[IngestOrder, IngestJob] = {}
+    settings: dict[tuple[int, int], ContentHash] = {}
     for job in jobs:
         state = _found(job)
-        if state is None:
-            waiting.append(job)
-        else:
+        if state is not None:
             yield state
-    if n_workers <= 1 or len(waiting) <= 1:
-        yield from map(ingest_episode, waiting)
-        return
-    while waiting:
-        # Never a fork: polars' thread pool does not survive one.
-        pool = ProcessPoolExecutor(n_workers, mp_context=multiprocessing.get_context("spawn"))
-        with pool:
-            futures: dict[Future[EpisodeState], IngestJob] = {
-                pool.submit(ingest_episode, job): job for job in waiting
-            }
-            broken = []
-            for future in as_completed(futures):
-                try:
-                    yield future.result()
-                    waiting.remove(futures[future])
-                except BrokenProcessPool:
-                    broken.append(futures[future])
-        if broken:
-            # Which job killed its process is not known: try each alone.
-            yield from map(_alone, broken)
-            waiting = []
+            continue
+        shared = id(job.mapping), id(job.vocabulary)
+        if shared not in settings:
+            settings[shared] = _keep_setting(job)
+        waiting[_order_of(job, settings[shared])] = job
+    for order, done in crew(ingest_order, list(waiting)):
+        yield done if done is not None else _died(waiting[order])
 
 
-def _alone(job: IngestJob) -> EpisodeState:
-    with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
-        try:
-            return pool.submit(ingest_episode, job).result()
-        except BrokenProcessPool:
-            return EpisodeState(
-                dataset=job.dataset,
-                episode_id=job.episode.id,
-                status="quarantined",
-                reason=f"{job.log}: the process that read it died (out of memory?)",
-            )
+def _keep_setting(job: IngestJob) -> ContentHash:
+    setting = Setting(
+        dataset=job.dataset,
+        label_format=job.label_format,
+        mapping=job.mapping,
+        vocabulary=job.vocabulary,
+        definitions_root=job.definitions_root,
+        tick_rate_hz=job.tick_rate_hz,
+    )
+    return keep_setting(job.store_root, setting)
+
+
+def _order_of(job: IngestJob, setting: ContentHash) -> IngestOrder:
+    return IngestOrder(
+        store_root=job.store_root,
+        setting=setting,
+        episode=job.episode.model_dump_json(),
+        log=job.log,
+        labels=job.labels,
+        known_sha256=job.known_sha256,
+    )
+
+
+def ingest_order(order: IngestOrder) -> EpisodeState:
+    """Ingest the episode of an order; this is what a crew's workers run.
+
+    Raises:
+        StoreError: If the store cannot be read or written there.
+    """
+    setting = setting_of(order.store_root, order.setting)
+    return ingest_episode(
+        IngestJob(
+            store_root=order.store_root,
+            dataset=setting.dataset,
+            episode=Episode.model_validate_json(order.episode),
+            log=order.log,
+            labels=order.labels,
+            label_format=setting.label_format,
+            mapping=setting.mapping,
+            vocabulary=setting.vocabulary,
+            definitions_root=setting.definitions_root,
+            tick_rate_hz=setting.tick_rate_hz,
+            known_sha256=order.known_sha256,
+        )
+    )
+
+
+def _died(job: IngestJob) -> EpisodeState:
+    """What is known of an episode whose worker died each time it was tried."""
+    reason = f"{job.log}: every process that read it died (out of memory?)"
+    return _settled(job, EpisodeTables(Store(job.store_root)), None, "quarantined", reason)

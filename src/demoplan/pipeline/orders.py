@@ -1,0 +1,76 @@
+"""What crosses to whoever works on an episode: paths and hashes; what episodes share is kept as a file."""
+
+import functools
+from dataclasses import dataclass
+from pathlib import Path
+
+from pydantic import TypeAdapter, ValidationError
+
+from demoplan.errors import StoreError
+from demoplan.ids import ContentHash, content_hash
+from demoplan.language.vocabulary import Vocabulary
+from demoplan.manifests.mapping import Mapping
+from demoplan.store.atomic import write_bytes
+
+
+@dataclass(frozen=True, kw_only=True)
+class Setting:
+    """What all episodes of a dataset are read and perceived with."""
+
+    dataset: str
+    label_format: str
+    mapping: Mapping
+    vocabulary: Vocabulary
+    definitions_root: Path
+    tick_rate_hz: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class IngestOrder:
+    """One episode to ingest: a few hundred bytes."""
+
+    store_root: Path
+    setting: ContentHash
+    """Names the file in the store that holds what this episode shares with others."""
+    episode: str
+    """What the dataset's manifest says of it, as JSON."""
+    log: Path
+    labels: Path | None
+    known_sha256: str | None
+
+
+_SETTING = TypeAdapter(Setting)
+
+
+def keep_setting(store_root: Path, setting: Setting) -> ContentHash:
+    """Write a setting into the store, if it is not there, and give back what names it."""
+    text = _SETTING.dump_json(setting)
+    name = content_hash(text)
+    path = _path_of(store_root, name)
+    if not path.is_file():
+        write_bytes(path, text)
+    return name
+
+
+@functools.lru_cache(maxsize=32)
+def setting_of(store_root: Path, name: ContentHash) -> Setting:
+    """The setting of that name; it never changes, so a process reads it once.
+
+    Raises:
+        StoreError: If it is not there, or its bytes are not those that the name stands for.
+    """
+    path = _path_of(store_root, name)
+    try:
+        text = path.read_bytes()
+        if content_hash(text) != name:
+            raise StoreError(f"{path}: its content is not what its name stands for; delete it, and run again")
+        return _SETTING.validate_json(text)
+    except (OSError, ValidationError) as error:
+        raise StoreError(
+            f"{path}: cannot be read by this worker: {error}; every worker needs the store, the logs and the "
+            "same version of demoplan"
+        ) from None
+
+
+def _path_of(store_root: Path, name: ContentHash) -> Path:
+    return store_root / "settings" / f"{name}.json"
