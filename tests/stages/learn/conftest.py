@@ -6,6 +6,7 @@ ends of segments fall before or after the changes that they stand for, as they d
 
 import random
 from dataclasses import dataclass, field
+from itertools import product
 from types import SimpleNamespace
 
 import polars as pl
@@ -18,7 +19,7 @@ from demoplan.stages.ask import ask
 from demoplan.stages.compose import compose
 from demoplan.stages.contrast import contrast
 from demoplan.stages.learn import LearnParams, learn
-from demoplan.tables import Activities, Facts
+from demoplan.tables import Activities, Facts, Transitions
 
 TYPES = TypeHierarchy.of(
     {
@@ -246,6 +247,44 @@ def study(seed=0, participants=3, habits=Habits()):
         for who in range(participants)
         for task, (moves, hand) in TASKS.items()
     }
+
+
+def every_atom(objects):
+    """Canonical text of every atom that types allow over (name, type) pairs, none of them named twice."""
+    atoms = []
+    for signature in PREDICATES:
+        places = [[n for n, t in objects if TYPES.is_subtype(t, kind)] for kind in signature.argument_types]
+        atoms += [f"{signature.name}({','.join(a)})" for a in product(*places) if len(set(a)) == len(a)]
+    return sorted(atoms)
+
+
+def corrupted(transitions, seed, flips=0.05, wrong_names=0.1):
+    """Transitions with so many activities misnamed, and at each end of one so many atoms misread.
+
+    Every atom that the objects' types allow is misread on its own. An end is read once: what comes after one
+    activity is what came before the next.
+    """
+    rng = random.Random(seed)
+    names = sorted(set(transitions["activity"]))
+    universes, rows, last = {}, [], None
+    for row in transitions.sort("episode_id", "hand", "start_ns").iter_rows(named=True):
+        objects = tuple((each["name"], each["type"]) for each in row["objects"])
+        universe = universes.setdefault(objects, every_atom(objects))
+        track = (row["episode_id"], row["hand"])
+        is_next = last is not None and last[0] == track
+
+        def misread(state, universe=universe):
+            return sorted(set(state) ^ {atom for atom in universe if rng.random() < flips})
+
+        before, previous = last[1:] if is_next else (misread(row["before"]), None)
+        name = row["activity"]
+        if rng.random() < wrong_names:
+            name = rng.choice([each for each in names if each != name])
+        last = (track, misread(row["after"]), name)
+        rows.append(
+            row | {"before": before, "after": last[1], "activity": name, "previous_activity": previous}
+        )
+    return Transitions.validate(pl.DataFrame(rows, schema=transitions.schema))
 
 
 def domain_of(transitions, params=LearnParams()):

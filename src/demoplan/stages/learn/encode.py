@@ -69,7 +69,8 @@ class Encoded:
     """Types, by code."""
     _type_keys: Ints
     _type_codes: Ints
-    _episode: Ints
+    episode: Ints
+    """Code of each transition's episode, shape (n,)."""
     predicates: tuple[Signature, ...]
     """By code."""
     atom_predicate: Ints
@@ -91,9 +92,16 @@ class Encoded:
         """Code of a predicate, or −1 if the vocabulary does not have it."""
         return next((code for code, each in enumerate(self.predicates) if each.name == name), -1)
 
+    def objects_of(self, episode: int) -> tuple[Ints, Ints]:
+        """Instances of an episode, and the type of each, as codes; shapes (k,)."""
+        low, high = np.searchsorted(
+            self._type_keys, np.array([episode, episode + 1]) * max(len(self.names), 1)
+        )
+        return self._type_keys[low:high] % max(len(self.names), 1), self._type_codes[low:high]
+
     def type_of(self, rows: Ints, instances: Ints) -> Ints:
         """Type codes of instances in the episodes of rows; −1 for ``NOBODY``. Shapes (m,)."""
-        keys = self._episode[rows] * len(self.names) + instances
+        keys = self.episode[rows] * len(self.names) + instances
         found = np.minimum(np.searchsorted(self._type_keys, keys), len(self._type_keys) - 1)
         known = (instances != NOBODY) & (self._type_keys[found] == keys)
         missing = np.flatnonzero(~known & (instances != NOBODY))
@@ -170,7 +178,7 @@ def encode(
         types=tuple(type_names),
         _type_keys=keys[order],
         _type_codes=_codes(objects["type"], type_names)[order],
-        _episode=_codes(table["episode_id"], episodes),
+        episode=_codes(table["episode_id"], episodes),
         predicates=ordered,
         atom_predicate=np.array([predicate_code[atom.predicate] for atom in atoms], dtype=np.int64),
         atom_arguments=arguments,

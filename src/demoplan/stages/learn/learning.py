@@ -14,6 +14,7 @@ from demoplan.language.types import TypeHierarchy
 from demoplan.stages.learn.bind import bind_arguments, bind_roles
 from demoplan.stages.learn.encode import Encoded, encode
 from demoplan.stages.learn.lift import AFTER, BEFORE, Lifted, LiftedAtom, Pattern, lift
+from demoplan.stages.learn.mend import mend
 from demoplan.stages.learn.merge import Candidate, Draft, merge
 from demoplan.stages.learn.params import LearnParams
 from demoplan.stages.learn.reach import keep_plannable
@@ -65,6 +66,7 @@ def learn(
         lifted = lift(data, bind_arguments(data, data.arguments), None, params)
         drafts = merge(lifted, types, data.predicates, params, TRACED)
     else:
+        data = mend(data, types, params.mend).data
         settled = settle(data, types, params)
         lifted = lift(data, bind_roles(data, settled, params), settled, params)
         drafts = merge(lifted, types, data.predicates, params, LOGGED)

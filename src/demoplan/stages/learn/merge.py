@@ -151,7 +151,7 @@ def universe(
             [
                 position
                 for position, name in enumerate(names)
-                if name is not None and (types.is_subtype(name, wanted) or types.is_subtype(wanted, name))
+                if name is not None and types.is_subtype(name, wanted)
             ]
             for wanted in signature.argument_types
         ]

@@ -1,6 +1,8 @@
 """What can be chosen about learning."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+
+from demoplan.stages.learn.misreadings import MendParams
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,5 +31,7 @@ class LearnParams:
     """What every step costs, before rarity or unreliability is added."""
     cost_per_bit: float = 10.0
     """Added cost per bit by which an operator is rarer than the commonest, or per bit of −log2(beta)."""
+    mend: MendParams = field(default_factory=MendParams)
+    """How misreadings are found and put right."""
     rows_per_chunk: int = 100_000
     """Transitions lifted at once: bounds memory, and changes no result."""
