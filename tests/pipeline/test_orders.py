@@ -64,3 +64,45 @@ def test_a_setting_that_was_changed_or_is_not_there_is_refused(job, tmp_path):
     path.unlink()
     with pytest.raises(StoreError, match="every worker needs the store"):
         ingesting.ingest_order(given[0])
+
+
+def test_segmenting_by_order_gives_what_segmenting_here_gives(job, tmp_path, monkeypatch):
+    from demoplan.pipeline import activities
+
+    opened = open_dataset(DATASET)
+    state = ingesting.ingest_episode(job)
+    chosen = {state.episode_id: activities.rules()}
+    given = []
+
+    def crew(work, orders):
+        for order in orders:
+            given.append(order)
+            yield order, work(pickle.loads(pickle.dumps(order)))
+
+    monkeypatch.setattr(activities, "MANY", 1)
+    (there,) = activities.segment_episodes(opened, Store(tmp_path), [state], chosen, crew=crew)
+    assert len(given) == 1
+    assert len(pickle.dumps(given[0])) < 2500
+    (again,) = activities.segment_episodes(opened, Store(tmp_path), [state], chosen, crew=crew)
+    assert len(given) == 1, "what is there is not given away"
+    assert there == again
+    fresh = ingesting.replace(job, store_root=tmp_path / "here")
+    (here,) = activities.segment_episodes(
+        opened, Store(tmp_path / "here"), [ingesting.ingest_episode(fresh)], chosen
+    )
+    assert here == there
+
+
+def test_a_segmenter_that_changed_after_the_order_was_given_is_refused(job, tmp_path):
+    from demoplan.pipeline import activities
+
+    order = activities.SegmentOrder(
+        store_root=tmp_path,
+        setting="",
+        state=ingesting.EpisodeState(dataset="d", episode_id="e"),
+        segmenter="rules",
+        content="of another one",
+        params=activities.SegmentParams(),
+    )
+    with pytest.raises(StoreError, match="not the segmenter that was chosen"):
+        activities.segment_order(order)

@@ -1,5 +1,6 @@
 """Facts to activities to transitions, over the store; and the training of segmenters."""
 
+import functools
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -8,10 +9,13 @@ from pathlib import Path
 import dataframely as dy
 import polars as pl
 
-from demoplan.errors import UnknownNameError, UsageError
+from demoplan.errors import StoreError, UnknownNameError, UsageError
 from demoplan.ids import ContentHash, content_hash
+from demoplan.language.types import TypeHierarchy
+from demoplan.pipeline.crews import Crew, Processes
 from demoplan.pipeline.datasets import OpenDataset, remember
-from demoplan.pipeline.ingest import EpisodeTables, ingest, jobs_of
+from demoplan.pipeline.ingest import EpisodeTables, StaleError, ingest, jobs_of
+from demoplan.pipeline.orders import keep_setting, setting_of, setting_of_dataset, types_of_entities
 from demoplan.pipeline.reporting import Progress, silent
 from demoplan.stages.contrast import ContrastParams, contrast
 from demoplan.stages.score import confusion, majority_activities, score_segmentation
@@ -43,6 +47,9 @@ CONTRAST = ContrastParams()
 RULE_TREES = {"rules": RULES, "published_rules": PUBLISHED_RULES}
 """What needs no labels: the published rule tree with memory for its thresholds, and as it was published."""
 
+MANY = 64
+"""Fewer episodes than this are segmented here: each takes some 20 ms, and starting a process two seconds."""
+
 METHODS = ("decision_tree", "distilled_tree", "random_forest", "extra_trees", "gradient_boosting")
 
 
@@ -54,6 +61,8 @@ class ChosenSegmenter:
     method: str
     content: str
     """Hash of what it is."""
+    source: str
+    """Where another process finds it: the name of a rule tree, or a path."""
 
 
 def usable(states: Iterable[EpisodeState]) -> list[EpisodeState]:
@@ -64,7 +73,8 @@ def usable(states: Iterable[EpisodeState]) -> list[EpisodeState]:
 def rules(name: str = "rules") -> ChosenSegmenter:
     """A rule tree by its name; it needs no labels."""
     tree = RULE_TREES[name]
-    return ChosenSegmenter(segmenter=tree, method=name, content=content_hash(canonical_json(asdict(tree))))
+    content = content_hash(canonical_json(asdict(tree)))
+    return ChosenSegmenter(segmenter=tree, method=name, content=content, source=name)
 
 
 def read_segmenter(path: Path) -> ChosenSegmenter:
@@ -78,7 +88,12 @@ def read_segmenter(path: Path) -> ChosenSegmenter:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise UsageError(f"{path}: cannot be read: {error}") from None
-    return ChosenSegmenter(segmenter=parse_segmenter(text), method=path.name, content=content_hash(text))
+    return ChosenSegmenter(
+        segmenter=parse_segmenter(text),
+        method=path.name,
+        content=content_hash(text),
+        source=str(path.absolute()),
+    )
 
 
 def tables_of(
@@ -147,7 +162,7 @@ def segmenter_path(store: Store, key: ContentHash) -> Path:
 
 def entity_types(opened: OpenDataset) -> dict[str, str]:
     """Instance → type, as the dataset's mapping says."""
-    return {name: entity.type for name, entity in sorted(opened.dataset.mapping.entities.items())}
+    return types_of_entities(opened.dataset.mapping)
 
 
 def groups_of(opened: OpenDataset) -> dict[str, str]:
@@ -234,6 +249,7 @@ def segment_episodes(
     *,
     params: SegmentParams = SegmentParams(),
     is_kept: bool = True,
+    crew: Crew = Processes(1),
     on_done: Callable[[EpisodeState], None] = lambda _: None,
 ) -> list[EpisodeState]:
     """Activities and transitions of every usable episode; the others come back as they are.
@@ -245,31 +261,99 @@ def segment_episodes(
         segmenters: The segmenter of each episode.
         params: Segmentation choices.
         is_kept: Whether the manifest names the results as what now stands for the episodes.
+        crew: Who does it, if it is many.
         on_done: Called with each episode when it is done.
     """
-    results = []
+    results = {state.episode_id: state for state in states}
+    setting: ContentHash | None = None
+    orders = []
     for state in states:
-        result = state
-        if state.episode_id in segmenters:
-            tables = EpisodeTables(store)
-            segment_stages(opened, state, segmenters[state.episode_id], tables, params)
-            result = replace(state, tables=tables.contents, keys=state.keys | tables.keys)
-        results.append(result)
+        by = segmenters.get(state.episode_id)
+        found = state if by is None else _found(opened, store, state, by, params)
+        if found is not None:
+            results[state.episode_id] = found
+            on_done(found)
+        elif by is not None:
+            setting = setting or keep_setting(store.root, setting_of_dataset(opened))
+            orders.append(_order_of(store, setting, state, by, params))
+    for order, done in (crew if len(orders) >= MANY else Processes(1))(segment_order, orders):
+        result = done or replace(
+            order.state, status="quarantined", reason="every process that segmented it died (out of memory?)"
+        )
+        results[result.episode_id] = result
         on_done(result)
     if is_kept:
-        store.manifest.update(results)
-    return results
+        store.manifest.update(results.values())
+    return list(results.values())
+
+
+def _found(
+    opened: OpenDataset, store: Store, state: EpisodeState, by: ChosenSegmenter, params: SegmentParams
+) -> EpisodeState | None:
+    """What the store holds of an episode's activities and transitions, if nothing of it is stale."""
+    tables = EpisodeTables(store, may_work=False)
+    try:
+        segment_stages(entity_types(opened), opened.vocabulary.types, state, by, tables, params)
+    except StaleError:
+        return None
+    return replace(state, tables=tables.contents, keys=state.keys | tables.keys)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SegmentOrder:
+    """One episode to segment: hashes of its tables, and where its segmenter is."""
+
+    store_root: Path
+    setting: ContentHash
+    state: EpisodeState
+    segmenter: str
+    content: str
+    params: SegmentParams
+
+
+def _order_of(
+    store: Store, setting: ContentHash, state: EpisodeState, by: ChosenSegmenter, params: SegmentParams
+) -> SegmentOrder:
+    return SegmentOrder(
+        store_root=store.root,
+        setting=setting,
+        state=state,
+        segmenter=by.source,
+        content=by.content,
+        params=params,
+    )
+
+
+def segment_order(order: SegmentOrder) -> EpisodeState:
+    """Segment the episode of an order; this is what a crew's workers run.
+
+    Raises:
+        StoreError: If the store cannot be read or written there, or the segmenter has changed meanwhile.
+    """
+    chosen = _segmenter_of(order.segmenter, order.content)
+    setting = setting_of(order.store_root, order.setting)
+    tables = EpisodeTables(Store(order.store_root))
+    segment_stages(setting.entities, setting.vocabulary.types, order.state, chosen, tables, order.params)
+    return replace(order.state, tables=tables.contents, keys=order.state.keys | tables.keys)
+
+
+@functools.lru_cache(maxsize=32)
+def _segmenter_of(source: str, content: str) -> ChosenSegmenter:
+    chosen = rules(source) if source in RULE_TREES else read_segmenter(Path(source))
+    if chosen.content != content:
+        raise StoreError(f"{source}: is not the segmenter that was chosen; it has changed: run again")
+    return chosen
 
 
 def segment_stages(
-    opened: OpenDataset,
+    entities: Mapping[str, str],
+    types: TypeHierarchy,
     state: EpisodeState,
     chosen: ChosenSegmenter,
     tables: EpisodeTables,
     params: SegmentParams = SegmentParams(),
 ) -> None:
     """Run the stages from facts to transitions of an episode whose output is not there."""
-    entities = entity_types(opened)
     tables.contents |= state.tables
     tables.run(
         "segment",
@@ -279,14 +363,14 @@ def segment_stages(
             "facts": state.tables["facts"],
             "segmenter": chosen.content,
         },
-        params={"params": asdict(params), "entities": entities, "types": opened.vocabulary.types.parents},
+        params={"params": asdict(params), "entities": entities, "types": types.parents},
         make=lambda: {
             "activities": (
                 segment(
                     tables.get("frames", Frames),
                     tables.get("facts", Facts),
                     entities,
-                    opened.vocabulary.types,
+                    types,
                     chosen.segmenter,
                     params=params,
                 ),

@@ -14,6 +14,9 @@ Result = TypeVar("Result")
 _AHEAD = 2
 """Orders that wait in the pool for each process: none is ever idle, and few are lost when one dies."""
 
+TRIES_ALONE = 2
+"""How often an order is tried with nobody beside it, before it is held to be what kills its process."""
+
 
 class Crew(Protocol):
     """Does the same work for many orders, somewhere else.
@@ -75,11 +78,13 @@ class Processes:
 
 
 def _alone(work: Callable[[Order], Result], order: Order) -> Result | None:
-    with _pool(1) as pool:
-        try:
-            return pool.submit(work, order).result()
-        except BrokenProcessPool:
-            return None
+    for _ in range(TRIES_ALONE):
+        with _pool(1) as pool:
+            try:
+                return pool.submit(work, order).result()
+            except BrokenProcessPool:
+                continue
+    return None
 
 
 def _pool(n_workers: int) -> ProcessPoolExecutor:

@@ -70,7 +70,7 @@ def jobs_of(opened: OpenDataset, store: Store, episodes: Sequence[Episode]) -> l
     ]
 
 
-class _StaleError(Exception):
+class StaleError(Exception):
     """A stage would have to run, and may not."""
 
 
@@ -102,7 +102,7 @@ class EpisodeTables:
 
         def work() -> StageOutput:
             if not self.may_work:
-                raise _StaleError
+                raise StaleError
             tables = make()
             made.update({name: table for name, (table, _) in tables.items()})
             return StageOutput(tables=tables, notes=dict(self.notes))
@@ -130,7 +130,7 @@ def _found(job: IngestJob) -> EpisodeState | None:
     """What the store holds of an episode, if nothing of it is stale."""
     try:
         return ingest_episode(job, may_work=False)
-    except _StaleError:
+    except StaleError:
         return None
 
 

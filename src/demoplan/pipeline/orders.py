@@ -10,6 +10,7 @@ from demoplan.errors import StoreError
 from demoplan.ids import ContentHash, content_hash
 from demoplan.language.vocabulary import Vocabulary
 from demoplan.manifests.mapping import Mapping
+from demoplan.pipeline.datasets import OpenDataset
 from demoplan.store.atomic import write_bytes
 
 
@@ -23,6 +24,28 @@ class Setting:
     vocabulary: Vocabulary
     definitions_root: Path
     tick_rate_hz: float
+
+    @property
+    def entities(self) -> dict[str, str]:
+        """Instance → type."""
+        return types_of_entities(self.mapping)
+
+
+def types_of_entities(mapping: Mapping) -> dict[str, str]:
+    """Instance → type, as a mapping says, in order of name."""
+    return {name: entity.type for name, entity in sorted(mapping.entities.items())}
+
+
+def setting_of_dataset(opened: OpenDataset) -> Setting:
+    """What all episodes of a dataset share."""
+    return Setting(
+        dataset=opened.dataset.name,
+        label_format=opened.dataset.label_format,
+        mapping=opened.dataset.mapping,
+        vocabulary=opened.vocabulary,
+        definitions_root=opened.folder,
+        tick_rate_hz=opened.dataset.tick_rate_hz,
+    )
 
 
 @dataclass(frozen=True, kw_only=True)

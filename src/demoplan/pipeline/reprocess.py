@@ -14,6 +14,7 @@ from demoplan.pipeline.activities import (
     trained,
     training_of,
 )
+from demoplan.pipeline.crews import Crew, Processes
 from demoplan.pipeline.datasets import remember
 from demoplan.pipeline.ingest import ingest
 from demoplan.pipeline.learning import Learned, changes_between, learn_domain, stored_domain
@@ -44,6 +45,7 @@ def reprocess(
     rows: dy.DataFrame[Staleness],
     *,
     n_workers: int = 1,
+    crew: Crew | None = None,
     progress: Progress = silent,
 ) -> Reprocessed:
     """Run what some rows of a plan say.
@@ -54,7 +56,8 @@ def reprocess(
         store: The store.
         plan: What is stale.
         rows: What to run; see ``selected``. Rows that are blocked are left out.
-        n_workers: Processes for ingesting.
+        n_workers: Processes of this machine.
+        crew: Who works on episodes in place of these processes.
         progress: How to say how far it is.
     """
     states: dict[tuple[str, str], EpisodeState] = {}
@@ -65,7 +68,7 @@ def reprocess(
         mine = running.filter(pl.col("dataset") == name)
         if mine.is_empty():
             continue
-        for state in _episodes(store, part, mine, n_workers, progress):
+        for state in _episodes(store, part, mine, crew or Processes(n_workers), progress):
             states[name, state.episode_id] = state
         domains = sorted(mine.drop_nulls("domain")["domain"])
         if domains:
@@ -94,7 +97,7 @@ def reprocess(
 
 
 def _episodes(
-    store: Store, part: DatasetPlan, rows: pl.DataFrame, n_workers: int, progress: Progress
+    store: Store, part: DatasetPlan, rows: pl.DataFrame, crew: Crew, progress: Progress
 ) -> list[EpisodeState]:
     """Run the stale stages of one dataset's episodes."""
     name = part.opened.dataset.name
@@ -105,9 +108,7 @@ def _episodes(
     jobs = [part.jobs[each] for each in sorted(from_logs)]
     if jobs:
         with progress(f"{name}: read, align, perceive", len(jobs)) as done:
-            for state in ingest(
-                jobs, n_workers=n_workers, on_done=lambda s: done(f"{s.episode_id} {s.status}")
-            ):
+            for state in ingest(jobs, crew=crew, on_done=lambda s: done(f"{s.episode_id} {s.status}")):
                 old = before.get(state.episode_id)
                 ran[state.episode_id] = _with_labels(part, state, old)
         store.manifest.update(ran.values())
@@ -119,7 +120,7 @@ def _episodes(
         chosen = [state for state in standing if state.episode_id in segmenters]
         with progress(f"{name}: segment", len(chosen)) as done:
             for state in segment_episodes(
-                part.opened, store, chosen, segmenters, on_done=lambda s: done(s.episode_id)
+                part.opened, store, chosen, segmenters, crew=crew, on_done=lambda s: done(s.episode_id)
             ):
                 ran[state.episode_id] = state
     return list(ran.values())

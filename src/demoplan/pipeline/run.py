@@ -22,6 +22,7 @@ from demoplan.pipeline.activities import (
     trained,
     usable,
 )
+from demoplan.pipeline.crews import Crew, Processes
 from demoplan.pipeline.datasets import OpenDataset, remember
 from demoplan.pipeline.ingest import ingest, jobs_of
 from demoplan.pipeline.learning import Learned
@@ -99,6 +100,7 @@ def run(
     *,
     segmenter: str = "auto",
     n_workers: int = 1,
+    crew: Crew | None = None,
     progress: Progress = silent,
     fresh: OpenDataset | None = None,
 ) -> RunResult:
@@ -109,7 +111,8 @@ def run(
         store: Where everything is kept.
         segmenter: ``auto``, ``rules``, a training method, or a segmenter's file. An episode is never
             segmented by what was trained on its own participant.
-        n_workers: Processes for ingesting, and planners at once.
+        n_workers: Processes of this machine, and planners at once.
+        crew: Who works on episodes in place of these processes.
         progress: How to say how far it is.
         fresh: A dataset of other people, in no way part of the first, to try the same on. Their activities
             are found by a segmenter trained on the first dataset only.
@@ -124,15 +127,21 @@ def run(
             return {state.episode_id: chosen for state in usable(states)}
         return segmenters_for(opened, store, states, segmenter)
 
+    crew = crew or Processes(n_workers)
     is_file = Path(segmenter).is_file()
     remember(opened, store, segmenter=str(Path(segmenter).resolve()) if is_file else segmenter)
-    main = _work(opened, store, choose, n_workers, progress)
+    main = _work(opened, store, choose, crew, n_workers, progress)
     scores, confusions = _score_activities(main, store)
     parts = [main]
     if fresh is not None:
         outside = _for_others(opened, store, main)
         part = _work(
-            fresh, store, lambda states: {s.episode_id: outside for s in usable(states)}, n_workers, progress
+            fresh,
+            store,
+            lambda states: {s.episode_id: outside for s in usable(states)},
+            crew,
+            n_workers,
+            progress,
         )
         fresh_scores, _ = _score_activities(part, store)
         scores = _joined(scores, fresh_scores.with_columns(pl.col("suite") + FRESH_SUITE))
@@ -161,6 +170,7 @@ def _work(
     opened: OpenDataset,
     store: Store,
     choose: Callable[[Sequence[EpisodeState]], dict[str, ChosenSegmenter]],
+    crew: Crew,
     n_workers: int,
     progress: Progress,
 ) -> _Part:
@@ -169,11 +179,11 @@ def _work(
     name = opened.dataset.name
     jobs = jobs_of(opened, store, opened.dataset.episodes)
     with progress(f"{name}: read, align, perceive", len(jobs)) as done:
-        states = ingest(jobs, n_workers=n_workers, on_done=lambda s: done(f"{s.episode_id} {s.status}"))
+        states = ingest(jobs, crew=crew, on_done=lambda s: done(f"{s.episode_id} {s.status}"))
     with progress(f"{name}: segment", len(states)) as done:
         segmenters = choose(states)
         states = segment_episodes(
-            opened, store, states, segmenters, on_done=lambda state: done(state.episode_id)
+            opened, store, states, segmenters, crew=crew, on_done=lambda state: done(state.episode_id)
         )
     with progress(f"{name}: learn", len(usable(states)) + 1) as done:
         learned = learn_all(opened, store, states, on_done=done)

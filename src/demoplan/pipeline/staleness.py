@@ -11,6 +11,7 @@ from demoplan.errors import DemoplanError, LogError, ManifestError, StoreError, 
 from demoplan.ids import ContentHash
 from demoplan.pipeline.activities import (
     ChosenSegmenter,
+    entity_types,
     read_segmenter,
     segment_stages,
     segmenter_path,
@@ -254,6 +255,7 @@ class _DatasetWalk:
             return assumed
         results = []
         jobs = {e.id: e for e in self.opened.dataset.episodes}
+        entities = entity_types(self.opened)
         for state in assumed:
             by = chosen.get(state.episode_id)
             if by is None:
@@ -261,7 +263,7 @@ class _DatasetWalk:
                 continue
             old = self.states.get(state.episode_id)
             tables = _PlannedTables(self.store, old, self.estimates)
-            segment_stages(self.opened, state, by, tables)
+            segment_stages(entities, self.opened.vocabulary.types, state, by, tables)
             for stage, reason, cost_s in tables.found:
                 told = reason
                 if stage == "segment" and state.episode_id in pending and reason[0] == "input":
@@ -330,7 +332,7 @@ class _DatasetWalk:
             self.rows.append(row | {"domain": name})
 
 
-_ABSENT = ChosenSegmenter(segmenter=None, method="", content=PENDING)  # type: ignore[arg-type]
+_ABSENT = ChosenSegmenter(segmenter=None, method="", content=PENDING, source="")  # type: ignore[arg-type]
 """A segmenter that is yet to be trained; it is only ever looked at for its hash."""
 
 

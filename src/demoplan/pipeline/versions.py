@@ -5,6 +5,7 @@ from pathlib import Path
 
 from demoplan.language.diff import Change
 from demoplan.pipeline.activities import read_segmenter, segment_episodes, segmenters_for, usable
+from demoplan.pipeline.crews import Crew, Processes
 from demoplan.pipeline.datasets import OpenDataset, remember
 from demoplan.pipeline.ingest import ingest, jobs_of
 from demoplan.pipeline.learning import Learned, changes_between, learn_domain, stored_domain
@@ -34,6 +35,7 @@ def learn_version(
     *,
     segmenter: str = "auto",
     n_workers: int = 1,
+    crew: Crew | None = None,
     progress: Progress = silent,
 ) -> NewVersion:
     """Learn a dataset's domain from all its usable episodes; what is up to date is not done again.
@@ -42,26 +44,30 @@ def learn_version(
         opened: The dataset.
         store: Where everything is kept.
         segmenter: As ``demoplan run`` takes it.
-        n_workers: Processes for ingesting.
+        n_workers: Processes of this machine.
+        crew: Who works on episodes in place of these processes.
         progress: How to say how far it is.
 
     Raises:
         UsageError: If no episode can be used.
     """
     name = opened.dataset.name
+    crew = crew or Processes(n_workers)
     is_file = Path(segmenter).is_file()
     remember(opened, store, segmenter=str(Path(segmenter).resolve()) if is_file else segmenter)
     latest = store.domains.latest(name)
     previous = stored_domain(store, latest.domain_id) if latest is not None else None
     jobs = jobs_of(opened, store, opened.dataset.episodes)
     with progress(f"{name}: read, align, perceive", len(jobs)) as done:
-        states = ingest(jobs, n_workers=n_workers, on_done=lambda s: done(f"{s.episode_id} {s.status}"))
+        states = ingest(jobs, crew=crew, on_done=lambda s: done(f"{s.episode_id} {s.status}"))
     if is_file:
         chosen = dict.fromkeys((s.episode_id for s in usable(states)), read_segmenter(Path(segmenter)))
     else:
         chosen = segmenters_for(opened, store, states, segmenter)
     with progress(f"{name}: segment", len(states)) as done:
-        states = segment_episodes(opened, store, states, chosen, on_done=lambda s: done(s.episode_id))
+        states = segment_episodes(
+            opened, store, states, chosen, crew=crew, on_done=lambda s: done(s.episode_id)
+        )
     learned = learn_domain(store, states, opened.vocabulary, name=name, dataset=name)
     store.snapshots.take(store.manifest.episodes(), f"learn {name}")
     return NewVersion(
