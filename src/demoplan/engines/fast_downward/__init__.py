@@ -12,6 +12,7 @@ from demoplan.engines.fast_downward.solve import (
     solve,
     solve_text,
 )
+from demoplan.engines.fast_downward.translating import close_translators
 
 __all__ = [
     "FIRST",
@@ -21,6 +22,7 @@ __all__ = [
     "Search",
     "SolveParams",
     "TextAnswer",
+    "close_translators",
     "diagnose",
     "find_installation",
     "plan_rows",

@@ -76,7 +76,7 @@ def run_limited(
         exit_code=process.returncode,
         is_timeout=is_timeout,
         wall_s=time.monotonic() - start,
-        output=_tail(log),
+        output=tail(log),
     )
 
 
@@ -116,7 +116,8 @@ def _kill_group(process: subprocess.Popen[bytes]) -> None:
     process.wait()
 
 
-def _tail(path: Path) -> str:
+def tail(path: Path) -> str:
+    """The last 64 KiB of a file, as text."""
     with path.open("rb") as file:
         file.seek(0, os.SEEK_END)
         file.seek(max(0, file.tell() - _TAIL_BYTES))

@@ -1,12 +1,12 @@
 """Domain and problem to a plan, by Fast Downward as two separate programs: translator, then search.
 
-The driver is left out, as it only starts the two and costs another Python start-up. Everything that can
-happen is an outcome, never an exception; a plan is returned only if :mod:`demoplan.language.execution`, which
-knows nothing of the planner, finds that it reaches the goal.
+The driver is left out, as it only starts the two and costs another Python start-up; the translator is kept
+warm (:mod:`demoplan.engines.fast_downward.translating`). Everything that can happen is an outcome, never an
+exception; a plan is returned only if :mod:`demoplan.language.execution`, which knows nothing of the planner,
+finds that it reaches the goal.
 """
 
 import re
-import sys
 import tempfile
 from collections import Counter
 from collections.abc import Iterable
@@ -25,6 +25,7 @@ from demoplan.engines.fast_downward.outcomes import (
 )
 from demoplan.engines.fast_downward.processes import run_limited
 from demoplan.engines.fast_downward.searches import FIRST, OPTIMAL, Search
+from demoplan.engines.fast_downward.translating import translate
 from demoplan.errors import DataError
 from demoplan.ids import ContentHash, DomainId, content_hash
 from demoplan.language.domains import Domain, Plan, Problem, Step
@@ -192,19 +193,10 @@ def _run(
 ) -> TextAnswer:
     """Both programs in turn, on ``domain.pddl`` and ``problem.pddl`` of a folder that they may fill."""
     task = folder / "task.sas"
-    translated = run_limited(
-        # -S and -P: no site packages and no working directory on the module path; both cost time or trust.
-        [
-            *(sys.executable, "-S", "-P", "-m", "fast_downward.translate"),
-            *("--sas-file", task, "domain.pddl", "problem.pddl"),
-        ],
+    translated = translate(
+        ["--sas-file", task, "domain.pddl", "problem.pddl"],
         folder=folder,
-        # The translator iterates over sets of strings: with a fixed hash seed, equal input gives equal tasks.
-        environment={
-            "PYTHONPATH": str(installation.translator_path),
-            "PYTHONHASHSEED": "0",
-            "PYTHONUTF8": "1",
-        },
+        installation=installation,
         wall_s=params.wall_s,
         memory_bytes=params.memory_bytes,
     )
