@@ -1,7 +1,8 @@
-"""Whether counts speak for a literal: posteriors by marginal likelihood, with the noise rate unknown.
+"""Whether counts are a rule or a mistake: posteriors by marginal likelihood, with the noise rate unknown.
 
-A fixed threshold ("seen in 90 %") is too strict for small samples and too lax for large ones, and one
-exception must not rule a literal out. Each hypothesis is scored by the likelihood of the counts with its rate
+What each literal is to its operator, ``demoplan.inference`` says for traces and logs alike; here is what is
+asked of single counts. A fixed threshold ("seen in 90 %") is too strict for small samples and too lax for
+large ones. Each hypothesis is scored by the likelihood of the counts with its rate
 integrated out, so that what is believed depends on how much was seen.
 
 Source: D. J. C. MacKay, Information Theory, Inference, and Learning Algorithms, 2003, chapters 3 and 28.
@@ -11,16 +12,6 @@ It replaces the entropy rule of A. Mitrevski et al., by which one exception rule
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import exp, lgamma
-
-
-@dataclass(frozen=True)
-class Changes:
-    """How an atom stood before and after, over the transitions in which both were observed."""
-
-    kept_false: int
-    became_true: int
-    became_false: int
-    kept_true: int
 
 
 @dataclass(frozen=True)
@@ -63,29 +54,6 @@ def is_required(n_support: int, n_against: int, noise: Noise) -> float:
     [0.5, 0.66, 0.91, 0.74, 0.0]
     """
     return _posterior([noise.log_likelihood(n_support, n_against), _log_any(n_support, n_against)])
-
-
-def is_caused(changes: Changes, noise: Noise) -> float:
-    """Posterior that an activity makes the atom true, against leaving it alone and against chance.
-
-    Count an atom's negation by swapping true and false.
-
-    >>> noise = Noise(0.05, 20)
-    >>> is_caused(Changes(0, 1, 0, 0), noise) > 0.5   # one demonstration, in which it became true
-    True
-    >>> is_caused(Changes(19, 1, 0, 0), noise) > 0.5  # nineteen in which it stayed false
-    False
-    """
-    made = noise.log_likelihood(
-        changes.became_true + changes.kept_true, changes.kept_false + changes.became_false
-    )
-    left = noise.log_likelihood(
-        changes.kept_true + changes.kept_false, changes.became_true + changes.became_false
-    )
-    chance = _log_any(changes.became_true, changes.kept_false) + _log_any(
-        changes.kept_true, changes.became_false
-    )
-    return _posterior([made, left, chance])
 
 
 def is_mistake(n_cases: int, n_all: int, noise: Noise) -> float:

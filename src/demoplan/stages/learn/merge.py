@@ -4,10 +4,13 @@ from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import product
+from typing import TypeAlias
 
+import numpy as np
+
+from demoplan.inference import ADD, DELETE, FALSE, TRUE, UNSEEN, BeliefParams, believe_pairs
 from demoplan.language.domains import Signature
 from demoplan.language.types import TypeHierarchy
-from demoplan.stages.learn.decide import Changes, Noise, is_caused, is_required
 from demoplan.stages.learn.lift import AFTER, BEFORE, Lifted, LiftedAtom, Pattern
 from demoplan.stages.learn.params import LearnParams
 
@@ -99,17 +102,16 @@ def merge(
     for key in sorted(groups, key=repr):
         for names, members in _split_by_type(groups[key], lifted.patterns, types):
             first = lifted.patterns[members[0]]
-            draft = Draft(
-                activity=first.activity,
-                grip=first.grip,
-                types=names,
-                patterns=tuple(members),
-                count=sum(lifted.patterns[position].count for position in members),
-            )
             drafts.append(
-                weigh(draft, lifted.patterns, types, predicates, params=params, relevance=relevance)
+                Draft(
+                    activity=first.activity,
+                    grip=first.grip,
+                    types=names,
+                    patterns=tuple(members),
+                    count=sum(lifted.patterns[position].count for position in members),
+                )
             )
-    return drafts
+    return weigh(drafts, lifted.patterns, types, predicates, params=params, relevance=relevance)
 
 
 def _split_by_type(
@@ -163,49 +165,102 @@ def universe(
     return sorted(atoms)
 
 
+Cells: TypeAlias = Counter[tuple[bool | None, bool | None]]
+"""Transitions by an atom's value (null: not observed) before and after."""
+
+
+@dataclass(frozen=True)
+class Belief:
+    """What a literal's atom likely is to its operator, from counts of its values before and after."""
+
+    required: float
+    """Probability that the atom is always true before."""
+    avoided: float
+    """Probability that it is always false before."""
+    added: float
+    deleted: float
+
+
+def believed(
+    cells_of: Sequence[tuple[LiftedAtom, Cells]], predicates: Sequence[Signature], params: LearnParams
+) -> list[Belief]:
+    """Beliefs about the atoms of operators, all at once: predicates share rates and habits."""
+    code_of = {signature.name: code for code, signature in enumerate(predicates)}
+    counts = np.zeros((len(cells_of), 3, 3), dtype=np.int64)
+    index = {None: UNSEEN, False: FALSE, True: TRUE}
+    for row, (_, cells) in enumerate(cells_of):
+        for (before, after), count in cells.items():
+            counts[row, index[before], index[after]] += count
+    predicate = np.array([code_of[atom.predicate] for atom, _ in cells_of], dtype=np.int64)
+    if not len(predicate):
+        return []
+    found = believe_pairs(counts, predicate, len(predicates), BeliefParams(slip=params.slip))
+    return [
+        Belief(
+            required=min(float(found.required[row]), 1.0),
+            avoided=min(float(found.avoided[row]), 1.0),
+            added=min(float(found.effects[row, ADD]), 1.0),
+            deleted=min(float(found.effects[row, DELETE]), 1.0),
+        )
+        for row in range(len(predicate))
+    ]
+
+
 def weigh(
-    draft: Draft,
+    drafts: Sequence[Draft],
     patterns: Sequence[Pattern],
     types: TypeHierarchy,
     predicates: Sequence[Signature],
     *,
     params: LearnParams,
     relevance: Relevance,
-) -> Draft:
-    """The draft with every relevant literal's counts, posterior, and whether it is stated."""
-    noise = Noise(params.noise_mean, params.noise_weight)
-    members = [patterns[position] for position in draft.patterns]
-    effects: list[Candidate] = []
-    conditions: list[Candidate] = []
-    for atom in universe(draft.types, types, predicates):
-        cells = _cells(atom, members)
-        made = {
-            value: _effect(atom, value, cells, noise=noise, params=params, relevance=relevance)
-            for value in (True, False)
-        }
-        stated = [each for each in made.values() if each is not None and each.is_kept]
-        if len(stated) > 1:
-            best = max(stated, key=lambda each: (each.probability, each.is_positive))
-            made = {value: each if each is best else None for value, each in made.items()}
-        condition = _condition(atom, cells, made, noise=noise, params=params, relevance=relevance)
-        if condition is not None:
-            conditions.append(condition)
-        for each in made.values():
-            if each is None:
-                continue
-            holds = condition is not None and condition.is_kept and condition.is_positive == each.is_positive
-            effects.append(
-                replace(each, is_kept=False, note="holds already, by a precondition")
-                if holds and each.is_kept
-                else each
-            )
-    return replace(draft, preconditions=tuple(conditions), effects=tuple(effects))
+) -> list[Draft]:
+    """The drafts with every relevant literal's counts, posterior, and whether it is stated."""
+    cells_of = [
+        (position, atom, _cells(atom, [patterns[each] for each in draft.patterns]))
+        for position, draft in enumerate(drafts)
+        for atom in universe(draft.types, types, predicates)
+    ]
+    beliefs = believed([(atom, cells) for _, atom, cells in cells_of], predicates, params)
+    effects: list[list[Candidate]] = [[] for _ in drafts]
+    conditions: list[list[Candidate]] = [[] for _ in drafts]
+    for (position, atom, cells), belief in zip(cells_of, beliefs, strict=True):
+        condition, changes = _literals(atom, cells, belief, params=params, relevance=relevance)
+        conditions[position] += condition
+        effects[position] += changes
+    return [
+        replace(draft, preconditions=tuple(before), effects=tuple(after))
+        for draft, before, after in zip(drafts, conditions, effects, strict=True)
+    ]
+
+
+def _literals(
+    atom: LiftedAtom, cells: Cells, belief: Belief, *, params: LearnParams, relevance: Relevance
+) -> tuple[list[Candidate], list[Candidate]]:
+    """What an atom is to an operator: at most one condition, and the effects that were considered."""
+    made = {
+        value: _effect(atom, value, cells, belief, params=params, relevance=relevance)
+        for value in (True, False)
+    }
+    stated = [each for each in made.values() if each is not None and each.is_kept]
+    if len(stated) > 1:
+        best = max(stated, key=lambda each: (each.probability, each.is_positive))
+        made = {value: each if each is best else None for value, each in made.items()}
+    condition = _condition(atom, cells, made, belief, params=params, relevance=relevance)
+    effects = []
+    for each in made.values():
+        if each is None:
+            continue
+        holds = condition is not None and condition.is_kept and condition.is_positive == each.is_positive
+        effects.append(
+            replace(each, is_kept=False, note="holds already, by a precondition")
+            if holds and each.is_kept
+            else each
+        )
+    return [] if condition is None else [condition], effects
 
 
 _LINK = "kept by majority against the count: it links activities, whose ends are never exact"
-
-Cells = Counter[tuple[bool | None, bool | None]]
-"""Transitions by an atom's value (null: not observed) before and after."""
 
 
 def _cells(atom: LiftedAtom, members: Sequence[Pattern]) -> Cells:
@@ -222,22 +277,23 @@ def _cells(atom: LiftedAtom, members: Sequence[Pattern]) -> Cells:
 
 
 def _effect(
-    atom: LiftedAtom, value: bool, cells: Cells, *, noise: Noise, params: LearnParams, relevance: Relevance
+    atom: LiftedAtom,
+    value: bool,
+    cells: Cells,
+    belief: Belief,
+    *,
+    params: LearnParams,
+    relevance: Relevance,
 ) -> Candidate | None:
-    changes = Changes(
-        kept_false=cells[not value, not value],
-        became_true=cells[not value, value],
-        became_false=cells[value, not value],
-        kept_true=cells[value, value],
-    )
-    if not changes.became_true or not relevance.is_effect(atom):
+    n_made = cells[not value, value]
+    if not n_made or not relevance.is_effect(atom):
         return None
     support = sum(count for (_, after), count in cells.items() if after is value)
     against = sum(count for (_, after), count in cells.items() if after is not value and after is not None)
-    probability = is_caused(changes, noise)
+    probability = belief.added if value else belief.deleted
     is_kept = probability >= params.min_probability
     note = None if is_kept else "counts speak for chance or for no change"
-    is_usual = support > against and changes.became_true > changes.kept_false
+    is_usual = support > against and n_made > cells[not value, not value]
     if not is_kept and is_usual and relevance.is_link(atom):
         is_kept, note = True, _LINK
     return Candidate(
@@ -255,8 +311,8 @@ def _condition(
     atom: LiftedAtom,
     cells: Cells,
     made: dict[bool, Candidate | None],
+    belief: Belief,
     *,
-    noise: Noise,
     params: LearnParams,
     relevance: Relevance,
 ) -> Candidate | None:
@@ -274,7 +330,7 @@ def _condition(
     if not relevance.is_condition(atom, value, is_changed):
         return None
     support, against = (held, absent) if value else (absent, held)
-    probability = is_required(support, against, noise)
+    probability = belief.required if value else belief.avoided
     is_kept = probability >= params.min_probability
     note = None if is_kept else "holds too irregularly to be a condition"
     if is_changed and support > against and relevance.is_link(atom):

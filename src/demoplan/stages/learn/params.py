@@ -19,6 +19,9 @@ class LearnParams:
     """Prior mean of the rate at which an observation is wrong: of an atom, or of an activity's name."""
     noise_weight: float = 20.0
     """How many observations the prior rate is worth. With the mean above: Beta(1, 19)."""
+    slip: float = 0.02
+    """Probability that a transition contradicts its operator although nothing was misread: it was misnamed,
+    or its ends lie beside the changes that they stand for."""
     min_probability: float = 0.5
     """A literal is stated, and a variant believed, when its posterior probability is at least this."""
     max_demonstrations: int = 2
