@@ -65,7 +65,7 @@ def pairs(rows):
 def n_runs(store):
     return {
         path.stem: len(path.read_text().splitlines())
-        for path in store.timings.root.glob("*.jsonl")
+        for path in (store.root / "timings").glob("*.jsonl")
         if path.stem != "plan"
     }
 
@@ -188,7 +188,7 @@ def test_what_would_have_to_read_a_log_that_is_away_is_blocked_and_nothing_is_lo
     folder, store = lab
     before = store.manifest.episodes("small")
     (folder / "logs-away").rename(folder / "archive")
-    for record in store.records.paths():
+    for record in (store.root / "records").rglob("*.json"):
         if record.parent.name == "read":
             store.objects.path_of(json.loads(record.read_text())["outputs"]["samples"]).unlink()
     plan = find_stale(store)

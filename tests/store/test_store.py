@@ -32,7 +32,7 @@ def test_equal_tables_are_stored_once_and_read_back_equal(tmp_path):
     second = store.objects.put(activities(), Activities)
     assert first == second
     assert store.get(first, Activities).equals(activities())
-    assert len(list(store.objects.root.rglob("*.parquet"))) == 1
+    assert len(list((store.root / "objects").rglob("*.parquet"))) == 1
 
 
 def test_units_and_descriptions_stand_in_the_field_metadata(tmp_path):
@@ -136,10 +136,10 @@ def test_an_episode_id_in_two_datasets_must_be_said_in_full(tmp_path):
 
 def test_a_manifest_that_is_not_json_is_refused_and_kept(tmp_path):
     store = Store(tmp_path)
-    store.manifest.path.write_text("{")
+    (store.root / "manifest.json").write_text("{")
     with pytest.raises(StoreError, match="not a manifest"):
         store.manifest.update([EpisodeState(dataset="d", episode_id="a")])
-    assert store.manifest.path.read_text() == "{"
+    assert (store.root / "manifest.json").read_text() == "{"
 
 
 def test_a_folder_that_cannot_be_written_is_said_so(tmp_path):
@@ -174,11 +174,19 @@ def test_domain_versions_are_added_with_their_parent_and_never_overwritten(tmp_p
     assert again == first
     assert domains.text(first) == "(define one)"
     assert [v.domain_id for v in domains.versions()] == ["aaaa1111", "bbbb2222"]
-    assert domains.find("stack").domain_id == "bbbb2222"
+    assert domains.find("stack").domain_id == "aaaa1111", "what its evidence gave last, not what is newest"
     assert domains.find("aaaa").domain_id == "aaaa1111"
     with pytest.raises(UnknownNameError, match="stack bbbb2222"):
         domains.find("cccc")
     assert domains.tables(first)[0].height == 0
+    folder = tmp_path / "domains/stack/aaaa1111"
+    assert sorted(path.name for path in folder.iterdir()) == [
+        "domain.pddl",
+        "evidence.parquet",
+        "literals.parquet",
+        "metadata.json",
+        "operators.parquet",
+    ]
     assert not [path for path in tmp_path.rglob("*") if path.name.startswith(".part-")]
 
 
@@ -208,25 +216,6 @@ def test_comments_and_docstrings_do_not_make_anything_stale(tmp_path, monkeypatc
 def test_records_are_readable_json(tmp_path):
     store = Store(tmp_path)
     record = store.run("s", {"i": "1"}, "{}", "c", lambda: StageOutput(tables={}, notes={"status": "ok"}))
-    content = json.loads(store.records.path_of("s", record.key).read_text())
+    content = json.loads(store.place.read(store.records.name_of("s", record.key)))
     assert content["inputs"] == {"i": "1"}
     assert content["notes"] == {"status": "ok"}
-
-
-def test_a_domain_is_stored_whatever_the_hashes_of_its_tables_are(tmp_path, monkeypatch):
-    """Two tables may share a folder, or be the same file."""
-    from demoplan.store.objects import ObjectStore
-
-    monkeypatch.setattr(ObjectStore, "path_of", lambda self, content: self.root / "ab" / f"{content}.parquet")
-    domains = Store(tmp_path).domains
-    tables = (Operators.create_empty(), Literals.create_empty(), Evidence.create_empty())
-    stored = domains.put(version("cccc3333"), "(define)", *tables)
-    folder = domains.root / "stack" / "cccc3333"
-    assert sorted(path.name for path in folder.iterdir()) == [
-        "domain.pddl",
-        "evidence.parquet",
-        "literals.parquet",
-        "metadata.json",
-        "operators.parquet",
-    ]
-    assert stored.tables.keys() == {"operators", "literals", "evidence"}

@@ -11,9 +11,8 @@ from hypothesis import strategies as st
 
 from demoplan.errors import StoreError, UnknownNameError, UsageError
 from demoplan.store import EpisodeState, Store
-from demoplan.store.atomic import locked
 from demoplan.store.snapshots import difference
-from demoplan.store.store import StageOutput
+from demoplan.store.store import SWEEP, StageOutput
 from demoplan.store.sweeping import sweep
 from demoplan.store.timings import Estimates
 from demoplan.store.verifying import repair, verify
@@ -76,6 +75,10 @@ def files(store):
         for p in store.root.rglob("*")
         if p.is_file() and p.suffix != ".lock"
     )
+
+
+def records(store):
+    return sorted((store.root / "records").rglob("*.json"))
 
 
 def kinds(faults):
@@ -168,7 +171,7 @@ def test_any_flipped_bit_in_any_file_that_matters_is_found(data):
 
 
 def test_a_record_that_was_edited_does_not_pass_for_what_its_name_says(store):
-    path = next(store.records.paths())
+    path = records(store)[0]
     path.write_text(path.read_text().replace('"params": "{}"', '"params": "{1}"'))
     assert kinds(verify(store)) == ["damaged"]
 
@@ -198,7 +201,7 @@ def test_a_table_that_is_damaged_twice_does_not_overwrite_what_was_set_aside(sto
 
 def test_an_unreadable_manifest_is_restored_from_the_last_snapshot(store):
     expected = store.manifest.episodes()
-    store.manifest.path.write_text('{"format": 1, "datasets"')
+    (store.root / "manifest.json").write_text('{"format": 1, "datasets"')
     done = repair(store, verify(store))
     assert [each.action for each in done if each.path == "manifest.json"] == ["restored", "set aside"]
     assert store.manifest.episodes() == expected
@@ -206,14 +209,14 @@ def test_an_unreadable_manifest_is_restored_from_the_last_snapshot(store):
 
 
 def test_a_manifest_without_a_readable_snapshot_is_set_aside_and_it_is_said(store):
-    store.manifest.path.write_text("{")
-    shutil.rmtree(store.snapshots.root)
+    (store.root / "manifest.json").write_text("{")
+    shutil.rmtree(store.root / "snapshots")
     done = repair(store, verify(store))
     assert any("demoplan run" in each.detail for each in done)
 
 
 def test_what_a_killed_process_left_is_removed_when_it_is_old_and_kept_while_it_is_young(store):
-    leftover = store.objects.root / ".part-abc.parquet"
+    leftover = store.root / "objects" / ".part-abc.parquet"
     leftover.write_bytes(b"half")
     faults = verify(store)
     assert kinds(faults) == ["leftover"]
@@ -245,7 +248,7 @@ def test_a_half_written_domain_is_a_leftover_and_a_changed_one_is_damaged(store)
         version, text, Operators.create_empty(), Literals.create_empty(), Evidence.create_empty()
     )
     assert verify(store) == []
-    folder = store.domains.root / "d" / version.domain_id
+    folder = store.root / "domains" / "d" / version.domain_id
     shutil.copytree(folder, folder.parent / ".part-xyz")
     assert kinds(verify(store)) == ["leftover"]
     (folder / "domain.pddl").write_text("(define (domain e))\n")
@@ -291,7 +294,7 @@ def test_the_history_keeps_superseded_tables_until_it_is_cut(store):
         old(path)
     assert sweep(store) == []
     swept = sweep(store, n_snapshots=1)
-    assert sorted(each.kind for each in swept) == ["record", "snapshot", "table"]
+    assert sorted(each.kind for each in swept) == ["record", "snapshot", "states", "table"]
     assert [entry.cause for entry in store.snapshots.log()] == ["reprocess d"]
     assert verify(store) == []
     for state in store.manifest.episodes():
@@ -301,7 +304,7 @@ def test_the_history_keeps_superseded_tables_until_it_is_cut(store):
 def test_nothing_is_swept_when_what_names_tables_cannot_be_read(store):
     path = store.objects.path_of(store.objects.put(activities("nobody's"), Activities))
     old(path)
-    record = next(store.records.paths())
+    record = records(store)[0]
     record.write_text("{")
     with pytest.raises(StoreError, match="Nothing was removed"):
         sweep(store)
@@ -315,7 +318,7 @@ def test_sweeping_waits_for_a_writer(store):
         sweep(Store(store.root))
         ended.set()
 
-    with locked(store.sweep_lock, is_shared=True):
+    with store.place.guard(SWEEP, is_shared=True):
         thread = threading.Thread(target=sweep_now)
         thread.start()
         assert not ended.wait(0.3)
@@ -334,7 +337,7 @@ def test_a_history_cannot_be_cut_to_nothing(store):
 def test_an_estimate_is_the_last_time_of_the_same_key_else_the_median(store):
     for key, wall_s in (("k1", 9.0), ("k1", 1.0), ("k2", 3.0), ("k3", 8.0)):
         store.timings.note("align", key, wall_s)
-    with (store.timings.root / "align.jsonl").open("a") as file:
+    with (store.root / "timings" / "align.jsonl").open("a") as file:
         file.write('{"key": "k9", "wal')
     estimates = Estimates(store.timings)
     assert estimates.of("align", "k1") == 1.0
@@ -344,4 +347,4 @@ def test_an_estimate_is_the_last_time_of_the_same_key_else_the_median(store):
 
 def test_times_are_no_part_of_tables_or_records(store):
     assert len(store.timings.of("segment")) == 2
-    assert not [p for p in store.records.paths() if "wall_s" in p.read_text()]
+    assert not [p for p in records(store) if "wall_s" in p.read_text()]

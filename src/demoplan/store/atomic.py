@@ -4,7 +4,7 @@ import contextlib
 import fcntl
 import os
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from demoplan.errors import StoreError
@@ -21,7 +21,7 @@ def temporary_in(folder: Path, suffix: str) -> Iterator[Path]:
         StoreError: If the folder cannot be written.
     """
     try:
-        folder.mkdir(parents=True, exist_ok=True)
+        make_folder(folder)
         handle, name = tempfile.mkstemp(prefix=PART, suffix=suffix, dir=folder)
     except OSError as error:
         raise StoreError(f"cannot write into {folder}: {error.strerror or error}") from error
@@ -35,17 +35,22 @@ def temporary_in(folder: Path, suffix: str) -> Iterator[Path]:
         temporary.unlink(missing_ok=True)
 
 
-def settle(temporary: Path, path: Path) -> None:
-    """Let a written file, of the same file system, take the place of ``path``."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    descriptor = os.open(temporary, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
+def settle(temporary: Path, path: Path, *, is_flushed: bool = True) -> None:
+    """Let a written file, of the same file system, take the place of ``path``.
+
+    Args:
+        temporary: The written file.
+        path: Where it goes.
+        is_flushed: Whether it is on the disk when this returns, so that a power cut does not undo it; if not,
+            the caller flushes it and its folder later.
+    """
+    make_folder(path.parent)
     temporary.chmod(0o644)
+    if is_flushed:
+        flush([temporary])
     temporary.replace(path)
-    _flush_folder(path.parent)
+    if is_flushed:
+        flush([path.parent])
 
 
 @contextlib.contextmanager
@@ -66,12 +71,37 @@ def write_bytes(path: Path, data: bytes) -> None:
         temporary.write_bytes(data)
 
 
-def _flush_folder(folder: Path) -> None:
-    descriptor = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
+def make_folder(folder: Path) -> None:
+    """Make a folder and those above it that are not there, so that a power cut does not undo it.
+
+    Raises:
+        StoreError: If it cannot be made.
+    """
+    absent = []
+    while not folder.is_dir():
+        absent.append(folder)
+        if folder == folder.parent:
+            break
+        folder = folder.parent
+    for each in reversed(absent):
+        try:
+            each.mkdir(exist_ok=True)
+            flush([each.parent])
+        except OSError as error:
+            raise StoreError(f"cannot make the folder {each}: {error.strerror or error}") from error
+
+
+def flush(paths: Iterable[Path]) -> None:
+    """Wait until files or folders are on the disk as they are now; what is gone meanwhile is passed over."""
+    for path in paths:
+        try:
+            descriptor = os.open(path, os.O_RDONLY)
+        except FileNotFoundError:
+            continue
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)
 
 
 @contextlib.contextmanager

@@ -2,7 +2,7 @@
 
 import functools
 import hashlib
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any, TypeVar
 
 import dataframely as dy
@@ -12,7 +12,7 @@ import pyarrow.parquet as pq
 
 from demoplan.errors import StoreError
 from demoplan.ids import ContentHash
-from demoplan.store.atomic import settle, temporary_in
+from demoplan.store.places import AbsentError, Place
 from demoplan.tables.validating import is_typed, validated
 
 TABLE_FORMAT = "1"
@@ -22,19 +22,36 @@ Table = TypeVar("Table", bound=dy.Schema)
 
 
 class ObjectStore:
-    """A folder of tables: ``ab/abcd….parquet`` for the table whose bytes have that hash."""
+    """Tables by content: ``ab/abcd….parquet`` is the one whose bytes have that hash."""
 
-    def __init__(self, root: Path) -> None:
-        """Use ``root``; it is made when something is first written."""
-        self.root = root
+    def __init__(self, place: Place, folder: str = "objects") -> None:
+        """Use ``folder`` of a place; it is made when something is first written."""
+        self._place = place
+        self.folder = folder
+
+    def name_of(self, content: ContentHash) -> str:
+        """What the table of that hash is called in its place."""
+        return f"{self.folder}/{content[:2]}/{content}.parquet"
 
     def path_of(self, content: ContentHash) -> Path:
-        """Where the table of that hash is."""
-        return self.root / content[:2] / f"{content}.parquet"
+        """Where the table of that hash is on this machine.
+
+        Raises:
+            StoreError: If the store is not a folder.
+        """
+        path = self._place.path(self.name_of(content))
+        if path is None:
+            raise StoreError(f"{self._place.location} is not a folder: its tables have no paths")
+        return path
 
     def has(self, content: ContentHash) -> bool:
         """Whether a table of that hash is there."""
-        return self.path_of(content).is_file()
+        return self._place.entry(self.name_of(content)) is not None
+
+    def contents(self) -> set[str]:
+        """The hashes of all tables that are there, by one listing."""
+        names = self._place.names(self.folder)
+        return {PurePosixPath(name).stem for name in names if name.endswith(".parquet")}
 
     def put(self, table: pl.DataFrame, schema: type[dy.Schema]) -> ContentHash:
         """Write a table, and give back the hash of its bytes. Equal tables give equal bytes, written once.
@@ -42,16 +59,10 @@ class ObjectStore:
         Stages hold what they give to its declaration, so only the columns and their types are looked at
         here; a table that differs in these is cast, and all its rules are checked.
         """
-        typed = table if is_typed(table, schema) else validated(table, schema)
-        described = _described(typed.to_arrow(compat_level=pl.CompatLevel.oldest()), schema)
         # Its name is not known before it is written; held in memory, it would cost more than it does on disk.
-        with temporary_in(self.root, ".parquet") as temporary:
-            with pa.OSFile(str(temporary), "wb") as sink:
-                pq.write_table(described, sink, row_group_size=1 << 20, **_encodings(schema))
-            with temporary.open("rb", buffering=0) as file:
-                content = ContentHash(hashlib.file_digest(file, "sha256").hexdigest())
-            if not self.has(content):
-                settle(temporary, self.path_of(content))
+        with self._place.draft(".parquet") as draft:
+            content = write_table(table, schema, draft)
+            self._place.settle(draft, self.name_of(content))
         return content
 
     def get(self, content: ContentHash, schema: type[Table]) -> dy.DataFrame[Table]:
@@ -60,26 +71,68 @@ class ObjectStore:
         Raises:
             StoreError: If it is not there, is not Parquet, or was written in a newer form.
         """
-        path = self.path_of(content)
         try:
-            found = pq.read_schema(path).metadata or {}
-            table = pl.read_parquet(path, use_pyarrow=False, glob=False)
-        except FileNotFoundError:
-            raise StoreError(f"table {content} is not in the store {self.root}") from None
-        except (OSError, pa.ArrowException, pl.exceptions.PolarsError) as error:
-            raise StoreError(f"{path}: not a readable table: {error}; run `demoplan run` again") from None
-        written = found.get(b"demoplan.table_format", b"?").decode()
-        if written != TABLE_FORMAT:
-            raise StoreError(f"{path}: written in table format {written}; this version reads {TABLE_FORMAT}")
-        return validated(table, schema)
+            return read_table(self._place, self.name_of(content), schema)
+        except AbsentError:
+            raise AbsentError(f"table {content} is not in the store {self._place.location}") from None
 
     def is_intact(self, content: ContentHash) -> bool:
         """Whether the bytes that are there still have the hash that names them."""
-        path = self.path_of(content)
-        if not path.is_file():
+        try:
+            with self._place.open(self.name_of(content)) as file:
+                return hashlib.file_digest(file, "sha256").hexdigest() == content
+        except AbsentError:
             return False
-        with path.open("rb") as file:
-            return hashlib.file_digest(file, "sha256").hexdigest() == content
+
+
+def write_table(table: pl.DataFrame, schema: type[dy.Schema], path: Path) -> ContentHash:
+    """Write a table into a local file, and give back the hash of its bytes."""
+    typed = table if is_typed(table, schema) else validated(table, schema)
+    described = _described(typed.to_arrow(compat_level=pl.CompatLevel.oldest()), schema)
+    with pa.OSFile(str(path), "wb") as sink:
+        pq.write_table(described, sink, row_group_size=1 << 20, **_encodings(schema))
+    with path.open("rb", buffering=0) as file:
+        return ContentHash(hashlib.file_digest(file, "sha256").hexdigest())
+
+
+def read_table(place: Place, name: str, schema: type[Table]) -> dy.DataFrame[Table]:
+    """Read a table of a place, held to its declaration.
+
+    Raises:
+        AbsentError: If it is not there.
+        StoreError: If it is not Parquet, or was written in a newer form.
+    """
+    path = place.path(name)
+    try:
+        if path is None:
+            held = place.read(name)
+            found = pq.read_schema(pa.BufferReader(held)).metadata or {}
+            table = pl.read_parquet(held, use_pyarrow=False)
+        else:
+            found = pq.read_schema(path).metadata or {}
+            table = pl.read_parquet(path, use_pyarrow=False, glob=False)
+    except FileNotFoundError:
+        raise AbsentError(f"{place.location}: {name}: not there") from None
+    except (OSError, pa.ArrowException, pl.exceptions.PolarsError) as error:
+        raise StoreError(
+            f"{place.location}: {name} is not a readable table: {error}; "
+            "`demoplan store repair` sets it aside, `demoplan reprocess` makes it again"
+        ) from None
+    return read_as_declared(table, found, schema, f"{place.location}: {name}")
+
+
+def read_as_declared(
+    table: pl.DataFrame, metadata: dict[bytes, bytes], schema: type[Table], where: str
+) -> dy.DataFrame[Table]:
+    """A table that was read, held to its declaration.
+
+    Raises:
+        StoreError: If it was written in a newer form than this version knows.
+    """
+    written = metadata.get(b"demoplan.table_format", b"?").decode()
+    if written != TABLE_FORMAT:
+        raise StoreError(f"{where}: written in table format {written}; this version reads {TABLE_FORMAT}")
+    return validated(table, schema)
 
 
 @functools.cache

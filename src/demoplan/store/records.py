@@ -2,15 +2,14 @@
 
 import functools
 import json
-from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field
-from pathlib import Path
+from pathlib import PurePosixPath
 
 import dataframely as dy
 
 from demoplan.errors import StoreError
 from demoplan.ids import ContentHash, content_hash
-from demoplan.store.atomic import PART, write_bytes
+from demoplan.store.places import AbsentError, Place
 from demoplan.tables.contracts import contract
 
 
@@ -45,37 +44,61 @@ def schema_version(schema: type[dy.Schema]) -> str:
 
 
 class RecordStore:
-    """A folder of records: ``stage/key.json``."""
+    """Records by stage and key: ``stage/key.json``."""
 
-    def __init__(self, root: Path) -> None:
-        """Use ``root``; it is made when something is first written."""
-        self.root = root
+    def __init__(self, place: Place, folder: str = "records") -> None:
+        """Use ``folder`` of a place; it is made when something is first written."""
+        self._place = place
+        self.folder = folder
 
-    def path_of(self, stage: str, key: ContentHash) -> Path:
-        """Where the record of that key is."""
-        return self.root / stage / f"{key}.json"
+    def name_of(self, stage: str, key: str) -> str:
+        """What the record of that key is called in its place."""
+        return f"{self.folder}/{stage}/{key}.json"
 
-    def get(self, stage: str, key: ContentHash) -> Record | None:
+    def get(self, stage: str, key: str) -> Record | None:
         """The record of that key, or None if the stage has not run so.
 
         Raises:
             StoreError: If a record is there that cannot be read.
         """
-        path = self.path_of(stage, key)
+        name = self.name_of(stage, key)
         try:
-            return Record(**json.loads(path.read_text()))
-        except FileNotFoundError:
+            return parse_record(self._place.read(name), f"{self._place.location}: {name}")
+        except AbsentError:
             return None
-        except (OSError, ValueError, TypeError) as error:
-            raise StoreError(f"{path}: not a record: {error}; delete it to run the stage again") from None
+
+    def has(self, stage: str, key: str) -> bool:
+        """Whether there is a record of that key."""
+        return self._place.entry(self.name_of(stage, key)) is not None
 
     def put(self, record: Record) -> None:
         """Write a record; its outputs must be there already."""
-        text = json.dumps(asdict(record), sort_keys=True, indent=1) + "\n"
-        write_bytes(self.path_of(record.stage, record.key), text.encode())
+        with self._place.draft(".json") as draft:
+            draft.write_bytes(render_record(record))
+            self._place.settle(draft, self.name_of(record.stage, record.key))
 
-    def paths(self) -> Iterator[Path]:
-        """Where every record is, in order of stage and key."""
-        for path in sorted(self.root.glob("*/*.json")):
-            if not path.name.startswith(PART):
-                yield path
+    def keys(self) -> set[tuple[str, str]]:
+        """Stage and key of every record, by one listing."""
+        found = set()
+        for name in self._place.names(self.folder):
+            path = PurePosixPath(name)
+            if path.suffix == ".json":
+                found.add((path.parent.name, path.stem))
+        return found
+
+
+def render_record(record: Record) -> bytes:
+    """A record as JSON that people can read, the same bytes for the same record."""
+    return (json.dumps(asdict(record), sort_keys=True, indent=1) + "\n").encode()
+
+
+def parse_record(text: bytes, where: str) -> Record:
+    """A record from its JSON.
+
+    Raises:
+        StoreError: If it is not a record.
+    """
+    try:
+        return Record(**json.loads(text))
+    except (ValueError, TypeError) as error:
+        raise StoreError(f"{where}: not a record: {error}; `demoplan store repair` sets it aside") from None

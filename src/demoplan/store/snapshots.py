@@ -2,16 +2,19 @@
 
 import json
 import time
+from collections import defaultdict
 from collections.abc import Collection, Iterable
 from dataclasses import asdict, dataclass
-from pathlib import Path
+from pathlib import PurePosixPath
+from typing import Any
 
 from demoplan.errors import StoreError, UnknownNameError
 from demoplan.ids import content_hash
-from demoplan.store.atomic import locked, write_bytes
-from demoplan.store.manifest import EpisodeState
+from demoplan.store.manifest import EpisodeState, StateLists
+from demoplan.store.places import AbsentError, Place
 
-SNAPSHOT_FORMAT = 1
+SNAPSHOT_FORMAT = 2
+"""Format 1 held all states itself; it is read as it is."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,11 +46,22 @@ class StateChange:
 
 
 class Snapshots:
-    """A folder with ``ID.json`` for each state of the manifest that was kept, and ``log.jsonl`` in order."""
+    """``snapshots/ID.json``: each state of the manifest that was kept; ``snapshots/log.jsonl``: their order.
 
-    def __init__(self, root: Path) -> None:
-        """Use ``root``; it is made when something is first written."""
-        self.root = root
+    A snapshot names a list of states for each dataset; datasets that did not change share it.
+    """
+
+    folder = "snapshots"
+    log_name = "snapshots/log.jsonl"
+
+    def __init__(self, place: Place) -> None:
+        """Use a place; the folder is made when something is first written."""
+        self._place = place
+        self.lists = StateLists(place, "snapshots/states")
+
+    def name_of(self, snapshot_id: str) -> str:
+        """What a snapshot is called in its place."""
+        return f"{self.folder}/{snapshot_id}.json"
 
     def take(self, states: Iterable[EpisodeState], cause: str) -> str:
         """Keep what stands now; if it is what stood last, nothing is written.
@@ -59,33 +73,36 @@ class Snapshots:
         Returns:
             The snapshot's id: equal states have equal ids, whoever made them and when.
         """
-        ordered = sorted((asdict(state) for state in states), key=lambda s: (s["dataset"], s["episode_id"]))
-        body = json.dumps({"format": SNAPSHOT_FORMAT, "episodes": ordered}, sort_keys=True, indent=1) + "\n"
+        by_dataset: dict[str, list[EpisodeState]] = defaultdict(list)
+        for state in states:
+            by_dataset[state.dataset].append(state)
+        lists = {dataset: self.lists.put(members) for dataset, members in sorted(by_dataset.items())}
+        body = json.dumps({"format": SNAPSHOT_FORMAT, "lists": lists}, sort_keys=True, indent=1) + "\n"
         snapshot_id = content_hash(body)[:16]
-        with locked(self.root / "log.lock"):
-            history = self.log()
-            if history and history[-1].snapshot_id == snapshot_id:
-                return snapshot_id
-            if not self._path_of(snapshot_id).is_file():
-                write_bytes(self._path_of(snapshot_id), body.encode())
-            entry = LogEntry(
-                snapshot_id=snapshot_id,
-                made_at_ns=time.time_ns(),
-                cause=cause,
-                n_episodes=len(ordered),
-                n_lost=sum(state["status"] != "complete" for state in ordered),
-            )
-            self._write_log((*history, entry))
+        self._place.create(self.name_of(snapshot_id), body.encode())
+        everything = [state for members in by_dataset.values() for state in members]
+        entry = LogEntry(
+            snapshot_id=snapshot_id,
+            made_at_ns=time.time_ns(),
+            cause=cause,
+            n_episodes=len(everything),
+            n_lost=sum(state.status != "complete" for state in everything),
+        )
+
+        def append(found: bytes | None) -> bytes | None:
+            history = self._parsed(found)
+            is_last = bool(history) and history[-1].snapshot_id == snapshot_id
+            return None if is_last else _rendered([*history, entry])
+
+        self._place.update(self.log_name, append)
         return snapshot_id
 
     def forget(self, snapshot_ids: Collection[str]) -> None:
         """Take snapshots out of the history."""
-        with locked(self.root / "log.lock"):
-            self._write_log([entry for entry in self.log() if entry.snapshot_id not in snapshot_ids])
-
-    def _write_log(self, history: Iterable[LogEntry]) -> None:
-        lines = [json.dumps(asdict(entry), sort_keys=True) + "\n" for entry in history]
-        write_bytes(self.root / "log.jsonl", "".join(lines).encode())
+        self._place.update(
+            self.log_name,
+            lambda found: _rendered(e for e in self._parsed(found) if e.snapshot_id not in snapshot_ids),
+        )
 
     def log(self) -> list[LogEntry]:
         """The history, oldest first.
@@ -93,19 +110,24 @@ class Snapshots:
         Raises:
             StoreError: If it cannot be read.
         """
-        path = self.root / "log.jsonl"
         try:
-            return [LogEntry(**json.loads(line)) for line in path.read_text(encoding="utf-8").splitlines()]
-        except FileNotFoundError:
+            return self._parsed(self._place.read(self.log_name))
+        except AbsentError:
             return []
-        except (OSError, ValueError, TypeError) as error:
+
+    def _parsed(self, data: bytes | None) -> list[LogEntry]:
+        try:
+            return [LogEntry(**json.loads(line)) for line in (data or b"").splitlines()]
+        except (ValueError, TypeError) as error:
             raise StoreError(
-                f"{path}: not a history: {error}; `demoplan store repair` sets it aside"
+                f"{self._place.location}: {self.log_name}: not a history: {error}; "
+                "`demoplan store repair` sets it aside"
             ) from None
 
     def ids(self) -> list[str]:
         """Every snapshot that is there, in no order of time."""
-        return sorted(path.stem for path in self.root.glob("[0-9a-f]*.json"))
+        paths = (PurePosixPath(name) for name in self._place.names(self.folder))
+        return sorted(path.stem for path in paths if path.suffix == ".json" and len(path.parts) == 2)
 
     def find(self, asked: str) -> str:
         """A snapshot by its id, or the start of it (4 digits or more).
@@ -116,7 +138,8 @@ class Snapshots:
         known = self.ids()
         fitting = [each for each in known if len(asked) >= 4 and each.startswith(asked)]
         if len(fitting) != 1:
-            raise UnknownNameError("snapshot", asked, fitting or known, where=f"store {self.root.parent}")
+            where = f"store {self._place.location}"
+            raise UnknownNameError("snapshot", asked, fitting or known, where=where)
         return fitting[0]
 
     def get(self, snapshot_id: str) -> list[EpisodeState]:
@@ -125,23 +148,40 @@ class Snapshots:
         Raises:
             StoreError: If the snapshot cannot be read, or is not what its id names.
         """
-        path = self._path_of(snapshot_id)
-        try:
-            text = path.read_text(encoding="utf-8")
-            content = json.loads(text)
-            if content["format"] != SNAPSHOT_FORMAT:
-                raise StoreError(
-                    f"{path}: snapshot format {content['format']}; this version reads {SNAPSHOT_FORMAT}"
-                )
-            states = [EpisodeState(**state) for state in content["episodes"]]
-        except (OSError, ValueError, KeyError, TypeError) as error:
-            raise StoreError(f"{path}: not a snapshot: {error}") from None
-        if content_hash(text)[:16] != snapshot_id:
-            raise StoreError(f"{path}: its content is not what its name says")
-        return states
+        content = self._content(snapshot_id)
+        if content["format"] == 1:
+            return [EpisodeState(**state) for state in content["episodes"]]
+        return [state for _, name in sorted(content["lists"].items()) for state in self.lists.get(name)]
 
-    def _path_of(self, snapshot_id: str) -> Path:
-        return self.root / f"{snapshot_id}.json"
+    def lists_of(self, snapshot_id: str) -> set[str]:
+        """The hashes of the lists of states that a snapshot names.
+
+        Raises:
+            StoreError: As ``get``.
+        """
+        return set(self._content(snapshot_id).get("lists", {}).values())
+
+    def _content(self, snapshot_id: str) -> dict[str, Any]:
+        where = f"{self._place.location}: {self.name_of(snapshot_id)}"
+        data = self._place.read(self.name_of(snapshot_id))
+        if content_hash(data)[:16] != snapshot_id:
+            raise StoreError(f"{where}: its content is not what its name says")
+        try:
+            content: dict[str, Any] = json.loads(data)
+            written = content["format"]
+            _ = content["episodes" if written == 1 else "lists"]
+        except (ValueError, KeyError, TypeError) as error:
+            raise StoreError(f"{where}: not a snapshot: {error}") from None
+        if written not in (1, SNAPSHOT_FORMAT):
+            raise StoreError(
+                f"{where}: snapshot format {written}; this version reads 1 to {SNAPSHOT_FORMAT}: "
+                "a newer demoplan wrote it"
+            )
+        return content
+
+
+def _rendered(history: Iterable[LogEntry]) -> bytes:
+    return "".join(json.dumps(asdict(entry), sort_keys=True) + "\n" for entry in history).encode()
 
 
 def difference(old: Iterable[EpisodeState], new: Iterable[EpisodeState]) -> list[StateChange]:

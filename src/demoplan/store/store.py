@@ -1,22 +1,28 @@
 """The store as a whole, and the one way in which stages run over it."""
 
+import contextlib
 import json
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import dataframely as dy
 import polars as pl
 
+from demoplan.errors import StoreError
 from demoplan.ids import ContentHash
-from demoplan.store.atomic import locked
 from demoplan.store.domains import DomainStore
+from demoplan.store.index import Index
 from demoplan.store.manifest import Manifest
 from demoplan.store.objects import ObjectStore, Table
+from demoplan.store.places import open_place
 from demoplan.store.records import Record, RecordStore, schema_version, stage_key
 from demoplan.store.snapshots import Snapshots
 from demoplan.store.timings import Timings
+
+SWEEP = "sweep"
+"""What writers share and sweeping has for itself."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,23 +34,75 @@ class StageOutput:
 
 
 class Store:
-    """A folder with tables, records, a manifest and domain versions.
+    """Tables, records, a manifest and domain versions, in a folder or a bucket.
 
-    ``objects/`` tables by content · ``records/`` what gave them · ``manifest.json`` what stands now ·
-    ``snapshots/`` what stood before · ``domains/`` versions · ``timings/`` what stages took ·
+    ``objects/`` tables by content · ``records/`` what gave them · ``manifest.json`` with ``states/``: what
+    stands now · ``snapshots/`` what stood before · ``domains/`` versions · ``timings/`` what stages took ·
     ``reports/``, ``recordings/`` what can be made again from the rest.
     """
 
-    def __init__(self, root: Path) -> None:
-        """Use the folder ``root``; it is made when something is first written."""
-        self.root = root
-        self.objects = ObjectStore(root / "objects")
-        self.records = RecordStore(root / "records")
-        self.manifest = Manifest(root)
-        self.snapshots = Snapshots(root / "snapshots")
-        self.domains = DomainStore(root / "domains")
-        self.timings = Timings(root / "timings")
-        self.sweep_lock = root / "sweep.lock"
+    def __init__(self, location: Path | str) -> None:
+        """Use a folder, or a bucket as ``s3://BUCKET/PREFIX``; a folder is made when it is first written to.
+
+        Raises:
+            StoreError: If the location is a URL of an unknown kind.
+        """
+        self.place = open_place(location)
+        self.location = self.place.location
+        """What opens the same store again, in this process or another."""
+        self.objects = ObjectStore(self.place)
+        self.records = RecordStore(self.place)
+        self.manifest = Manifest(self.place)
+        self.snapshots = Snapshots(self.place)
+        self.domains = DomainStore(self.place)
+        self.timings = Timings(self.place)
+        self._waiting: dict[tuple[str, str], Record] | None = None
+        """Records that are written at the end of a block of work; None outside of one."""
+
+    @property
+    def root(self) -> Path:
+        """The store's folder.
+
+        Raises:
+            StoreError: If it is not kept in one.
+        """
+        path = self.place.path("")
+        if path is None:
+            raise StoreError(f"{self.location} is not a folder")
+        return path
+
+    def index(self) -> Index:
+        """What is there now, listed once."""
+        return Index(self.objects, self.records)
+
+    @contextlib.contextmanager
+    def together(self) -> Iterator[None]:
+        """Do the work of many stages, and make all of it durable at the end of the block, at once.
+
+        Waiting for the disk takes longer than writing small tables; waiting once for all takes a fraction.
+        Tables are there at once, their records at the end. A process that is killed inside the block leaves
+        tables that nothing names, and does the block's stages again.
+        """
+        if self._waiting is not None:
+            yield
+            return
+        self._waiting = {}
+        try:
+            with self._naming():
+                try:
+                    with self.place.together():
+                        yield
+                finally:
+                    waiting, self._waiting = self._waiting, None
+                    with self.place.together():
+                        for record in waiting.values():
+                            self.records.put(record)
+        finally:
+            self._waiting = None
+
+    def _naming(self) -> contextlib.AbstractContextManager[None]:
+        """Shared with other writers; sweeping waits, so that no table goes before what names it is there."""
+        return self.place.guard(SWEEP, is_shared=True)
 
     def is_current(self, stage: str, inputs: Mapping[str, str], params: str, code_version: str) -> bool:
         """Whether the stage's output for these inputs, parameters and code is there."""
@@ -53,7 +111,7 @@ class Store:
     def find(self, stage: str, inputs: Mapping[str, str], params: str, code_version: str) -> Record | None:
         """The record of a stage for these inputs, parameters and code, if all that it names is there."""
         key = stage_key(stage, dict(inputs), params, code_version)
-        record = self.records.get(stage, key)
+        record = (self._waiting or {}).get((stage, key)) or self.records.get(stage, key)
         if record is None or not all(self.objects.has(ContentHash(c)) for c in record.outputs.values()):
             return None
         return record
@@ -80,8 +138,7 @@ class Store:
             return found
         start = time.perf_counter()
         output = function()
-        # Shared with other writers; sweeping waits, so that no table goes before what names it is there.
-        with locked(self.sweep_lock, is_shared=True):
+        with self._naming():
             contents = {
                 name: str(self.objects.put(table, schema)) for name, (table, schema) in output.tables.items()
             }
@@ -95,7 +152,10 @@ class Store:
                 notes=dict(output.notes),
                 schemas={name: schema_version(schema) for name, (_, schema) in output.tables.items()},
             )
-            self.records.put(record)
+            if self._waiting is None:
+                self.records.put(record)
+            else:
+                self._waiting[stage, record.key] = record
         self.timings.note(stage, record.key, time.perf_counter() - start)
         return record
 

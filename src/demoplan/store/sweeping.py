@@ -1,18 +1,18 @@
 """Remove what nothing names any more; what the history needs stays until the history is cut."""
 
-import shutil
 import time
 from collections.abc import Iterable
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import PurePosixPath
 
 from demoplan.errors import StoreError, UsageError
-from demoplan.ids import ContentHash
-from demoplan.store.atomic import PART, locked
 from demoplan.store.manifest import EpisodeState
+from demoplan.store.places import Entry
 from demoplan.store.records import Record
-from demoplan.store.store import Store
-from demoplan.store.verifying import DAMAGED, LEFTOVER_AGE_S
+from demoplan.store.store import SWEEP, Store
+from demoplan.store.verifying import LEFTOVER_AGE_S
+
+_ORDER = ("snapshot", "record", "table", "states", "leftover")
 
 GRACE_S = 24 * 3600.0
 """What is younger than this stays, named or not: somebody may be about to name it [s]."""
@@ -25,7 +25,7 @@ class Swept:
     path: str
     """Relative to the store."""
     kind: str
-    """``table``, ``record``, ``snapshot`` or ``leftover``."""
+    """``table``, ``record``, ``states``, ``snapshot`` or ``leftover``."""
     n_bytes: int
 
 
@@ -57,45 +57,63 @@ def sweep(
     """
     if grace_s < 0 or (n_snapshots is not None and n_snapshots < 1):
         raise UsageError(f"grace {grace_s} s, {n_snapshots} snapshots: expected 0 s or more, and 1 or more")
+    if grace_s < store.place.least_grace_s and not is_dry_run:
+        raise UsageError(
+            f"grace {grace_s:.0f} s: {store.location} cannot hold writers off while it is swept; expected "
+            f"{store.place.least_grace_s:.0f} s or more, and no writer that takes longer for one episode"
+        )
     now_s = time.time() if now_s is None else now_s
-    with locked(store.sweep_lock):
+    with store.place.guard(SWEEP):
         forgotten = set() if n_snapshots is None else _old_snapshots(store, n_snapshots)
         try:
-            named = store.manifest.episodes()
-            for snapshot_id in store.snapshots.ids():
-                if snapshot_id not in forgotten:
-                    named += store.snapshots.get(snapshot_id)
-            records = dict(_records(store))
+            doomed = _doomed(store, forgotten, is_history_cut=n_snapshots is not None)
         except StoreError as error:
             raise StoreError(
                 f"{error}. Nothing was removed, since what it names is not known; "
                 "`demoplan store repair` comes first"
             ) from None
-        superseded = set() if n_snapshots is None else _superseded(records, named)
-        kept = {content for state in named for content in state.tables.values()}
-        kept |= {
-            c for path, record in records.items() if path not in superseded for c in record.outputs.values()
-        }
-        candidates = [(store.snapshots.root / f"{name}.json", "snapshot") for name in forgotten]
-        candidates += [(path, "record") for path in superseded]
-        candidates += [
-            (path, "table")
-            for path in store.objects.root.glob("*/*.parquet")
-            if not path.name.startswith(PART) and ContentHash(path.stem) not in kept
+        doomed += [
+            (entry, "leftover")
+            for entry in _leftovers(store)
+            if now_s - entry.modified_s >= max(LEFTOVER_AGE_S, store.place.least_grace_s)
         ]
-        candidates += _leftovers(store, now_s)
         # Records go before the tables that they name: killed in between, nothing names what is not there.
-        order = {"snapshot": 0, "record": 1, "table": 2, "leftover": 3}
         swept = []
-        for path, kind in sorted(candidates, key=lambda each: (order[each[1]], each[0])):
-            if kind in ("record", "table") and now_s - path.stat().st_mtime < grace_s:
+        for entry, kind in sorted(doomed, key=lambda each: (_ORDER.index(each[1]), each[0].name)):
+            if kind not in ("snapshot", "leftover") and now_s - entry.modified_s < grace_s:
                 continue
-            swept.append(Swept(path.relative_to(store.root).as_posix(), kind, _size(path)))
+            swept.append(Swept(entry.name, kind, entry.n_bytes))
             if not is_dry_run:
-                _remove(path)
+                store.place.remove(entry.name)
         if forgotten and not is_dry_run:
             store.snapshots.forget(forgotten)
     return sorted(swept)
+
+
+def _doomed(store: Store, forgotten: set[str], *, is_history_cut: bool) -> list[tuple[Entry, str]]:
+    """What nothing names, with its kind."""
+    # Listed before what names them is read: what is named later is not among them.
+    tables = store.place.entries(store.objects.folder)
+    loose = store.place.entries(store.records.folder)
+    lists = store.place.entries(store.manifest.lists.folder)
+    lists += store.place.entries(store.snapshots.lists.folder)
+    named = store.manifest.episodes()
+    named_lists = {store.manifest.lists.name_of(content) for content in store.manifest.lists_named()}
+    for snapshot_id in store.snapshots.ids():
+        if snapshot_id not in forgotten:
+            named += store.snapshots.get(snapshot_id)
+            named_lists |= {
+                store.snapshots.lists.name_of(content) for content in store.snapshots.lists_of(snapshot_id)
+            }
+    records = dict(_records(store))
+    superseded = _superseded(records, named) if is_history_cut else set()
+    kept = {content for state in named for content in state.tables.values()}
+    kept |= {c for name, record in records.items() if name not in superseded for c in record.outputs.values()}
+    doomed = [(store.place.entry(store.snapshots.name_of(name)), "snapshot") for name in forgotten]
+    doomed += [(entry, "record") for entry in loose if entry.name in superseded]
+    doomed += [(entry, "table") for entry in tables if PurePosixPath(entry.name).stem not in kept]
+    doomed += [(entry, "states") for entry in lists if entry.name not in named_lists]
+    return [(entry, kind) for entry, kind in doomed if entry is not None]
 
 
 def _old_snapshots(store: Store, n_snapshots: int) -> set[str]:
@@ -103,45 +121,31 @@ def _old_snapshots(store: Store, n_snapshots: int) -> set[str]:
     return set(store.snapshots.ids()) - set(latest[:n_snapshots])
 
 
-def _records(store: Store) -> Iterable[tuple[Path, Record]]:
-    for path in store.records.paths():
-        record = store.records.get(path.parent.name, ContentHash(path.stem))
-        assert record is not None
-        yield path, record
+def _records(store: Store) -> Iterable[tuple[str, Record]]:
+    for stage, key in sorted(store.records.keys()):
+        record = store.records.get(stage, key)
+        if record is not None:
+            yield store.records.name_of(stage, key), record
 
 
-def _superseded(records: dict[Path, Record], named: Iterable[EpisodeState]) -> set[Path]:
+def _superseded(records: dict[str, Record], named: Iterable[EpisodeState]) -> set[str]:
     """Records of episodes' stages that no state names. Records of other stages have no state: they stay."""
     in_use: dict[str, set[str]] = {}
     for state in named:
         for stage, key in state.keys.items():
             in_use.setdefault(stage, set()).add(key)
     return {
-        path
-        for path, record in records.items()
+        name
+        for name, record in records.items()
         if record.stage in in_use and record.key not in in_use[record.stage]
     }
 
 
-def _leftovers(store: Store, now_s: float) -> list[tuple[Path, str]]:
-    return [
-        (path, "leftover")
-        for path in store.root.rglob(f"{PART}*")
-        if now_s - path.stat().st_mtime >= LEFTOVER_AGE_S
-        and not any(parent.name.startswith((PART, DAMAGED)) for parent in path.parents)
-    ]
-
-
-def _size(path: Path) -> int:
-    files = path.rglob("*") if path.is_dir() else (path,)
-    return sum(file.stat().st_size for file in files if file.is_file())
-
-
-def _remove(path: Path) -> None:
-    try:
-        if path.is_dir():
-            shutil.rmtree(path)
-        else:
-            path.unlink(missing_ok=True)
-    except OSError as error:
-        raise StoreError(f"cannot remove {path}: {error.strerror or error}") from error
+def _leftovers(store: Store) -> Iterable[Entry]:
+    yield from store.place.leftovers()
+    for folder in store.domains.folders():
+        entries = store.place.entries(folder)
+        if not any(entry.name == f"{folder}/metadata.json" for entry in entries):
+            yield from (
+                entry for entry in entries if PurePosixPath(entry.name).parent == PurePosixPath(folder)
+            )

@@ -2,21 +2,17 @@
 
 import hashlib
 import json
-import shutil
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import PurePosixPath
 
 from demoplan.errors import StoreError
 from demoplan.ids import ContentHash, content_hash
-from demoplan.store.atomic import PART, locked
 from demoplan.store.domains import TABLES
+from demoplan.store.places import SET_ASIDE, AbsentError
 from demoplan.store.records import stage_key
-from demoplan.store.store import Store
-
-DAMAGED = "damaged"
-"""Folder in the store to which repairing moves what is not as it was written; nothing is deleted."""
+from demoplan.store.store import SWEEP, Store
 
 LEFTOVER_AGE_S = 3600.0
 """A file that is being written is taken for left over by a killed process after this time [s]."""
@@ -50,116 +46,134 @@ def verify(store: Store, on_done: Callable[[str], None] = lambda _: None) -> lis
     """
     faults: list[Fault] = []
     for name, check in _CHECKS.items():
-        faults += (
-            Fault(path.relative_to(store.root).as_posix(), kind, detail)
-            for path, kind, detail in check(store)
-        )
+        faults += (Fault(*found) for found in check(store))
         on_done(name)
     return sorted(set(faults))
 
 
-CHECKED = ("tables", "records", "manifest", "snapshots", "domains", "leftovers")
+CHECKED = ("tables", "records", "manifest", "states", "snapshots", "domains", "leftovers")
 """Parts of the store that are checked, in this order."""
 
-_Found = Iterator[tuple[Path, str, str]]
+_Found = Iterator[tuple[str, str, str]]
+"""Name in the store, kind and detail of faults."""
 
 
 def _tables(store: Store) -> _Found:
-    for path in sorted(store.objects.root.glob("*/*.parquet")):
-        if not path.name.startswith(PART) and not store.objects.is_intact(ContentHash(path.stem)):
-            yield path, "damaged", "its bytes are not those that its name stands for"
+    for content in sorted(store.objects.contents()):
+        if not store.objects.is_intact(ContentHash(content)):
+            name = store.objects.name_of(ContentHash(content))
+            yield name, "damaged", "its bytes are not those that its name stands for"
 
 
 def _records(store: Store) -> _Found:
-    for path in store.records.paths():
+    index = store.index()
+    for stage, name_key in sorted(store.records.keys()):
+        name = store.records.name_of(stage, name_key)
         try:
-            record = store.records.get(path.parent.name, ContentHash(path.stem))
+            record = store.records.get(stage, name_key)
         except StoreError as error:
-            yield path, "unreadable", str(error)
+            yield name, "unreadable", str(error)
             continue
-        assert record is not None
+        if record is None:  # swept since it was listed
+            continue
         key = stage_key(record.stage, record.inputs, record.params, record.code_version)
-        if not (key == record.key == path.stem and record.stage == path.parent.name):
-            yield path, "damaged", "its content is not what its name stands for"
-        for name, content in sorted(record.outputs.items()):
-            if not store.objects.has(ContentHash(content)):
-                yield store.objects.path_of(ContentHash(content)), "missing", f"{name}, named by {path.name}"
+        if not (key == record.key == name_key and record.stage == stage):
+            yield name, "damaged", "its content is not what its name stands for"
+        for output, content in sorted(record.outputs.items()):
+            if not index.has(content):
+                table = store.objects.name_of(ContentHash(content))
+                yield table, "missing", f"{output}, named by {PurePosixPath(name).name}"
 
 
 def _manifest(store: Store) -> _Found:
     try:
         states = store.manifest.episodes()
     except StoreError as error:
-        yield store.manifest.path, "unreadable", str(error)
+        yield store.manifest.name, "unreadable", str(error)
         return
+    index = store.index()
     for state in states:
         who = f"{state.dataset}/{state.episode_id}"
-        for name, content in sorted(state.tables.items()):
-            if not store.objects.has(ContentHash(content)):
-                yield store.objects.path_of(ContentHash(content)), "missing", f"{name} of {who}"
+        for table, content in sorted(state.tables.items()):
+            if not index.has(content):
+                yield store.objects.name_of(ContentHash(content)), "missing", f"{table} of {who}"
         for stage, key in sorted(state.keys.items()):
-            path = store.records.path_of(stage, ContentHash(key))
-            if not path.is_file():
-                yield path, "missing", f"record of {stage} of {who}"
+            if not index.has_record(stage, key):
+                yield store.records.name_of(stage, key), "missing", f"record of {stage} of {who}"
+
+
+def _states(store: Store) -> _Found:
+    for lists in (store.manifest.lists, store.snapshots.lists):
+        for content in lists.contents():
+            try:
+                lists.get(content)
+            except AbsentError:  # superseded since it was listed
+                continue
+            except StoreError as error:
+                yield lists.name_of(content), "damaged", str(error)
 
 
 def _snapshots(store: Store) -> _Found:
-    history = store.snapshots.root / "log.jsonl"
     try:
         named = {entry.snapshot_id for entry in store.snapshots.log()}
     except StoreError as error:
-        yield history, "unreadable", str(error)
+        yield store.snapshots.log_name, "unreadable", str(error)
         named = set()
-    for snapshot_id in sorted(named | set(store.snapshots.ids())):
-        path = store.snapshots.root / f"{snapshot_id}.json"
-        if not path.is_file():
-            yield path, "missing", "named by the history"
+    there = set(store.snapshots.ids())
+    lists = set(store.snapshots.lists.contents())
+    for snapshot_id in sorted(named | there):
+        name = store.snapshots.name_of(snapshot_id)
+        if snapshot_id not in there:
+            yield name, "missing", "named by the history"
             continue
         try:
-            store.snapshots.get(snapshot_id)
+            missing = store.snapshots.lists_of(snapshot_id) - lists
         except StoreError as error:
-            yield path, "unreadable", str(error)
+            yield name, "unreadable", str(error)
+            continue
+        for content in sorted(missing):
+            yield store.snapshots.lists.name_of(content), "missing", f"named by snapshot {snapshot_id}"
 
 
 def _domains(store: Store) -> _Found:
-    for path in sorted(store.domains.root.glob("*/*/metadata.json")):
-        folder = path.parent
-        if folder.name.startswith(PART):
+    for folder in store.domains.folders():
+        names = {PurePosixPath(name).name for name in store.place.names(folder)}
+        if "metadata.json" not in names:
+            yield folder, "leftover", "a process was killed while it wrote this, or is writing it"
             continue
         try:
-            tables = json.loads(path.read_text(encoding="utf-8"))["tables"]
+            tables = json.loads(store.place.read(f"{folder}/metadata.json"))["tables"]
             expected = {name: str(tables[name]) for name in TABLES}
-        except (OSError, ValueError, KeyError, TypeError) as error:
+        except (StoreError, ValueError, KeyError, TypeError) as error:
             yield folder, "unreadable", f"metadata.json: {error}"
             continue
         for name, content in expected.items():
-            if _sha256(folder / f"{name}.parquet") != content:
+            if _sha256(store, f"{folder}/{name}.parquet") != content:
                 yield folder, "damaged", f"{name}.parquet is not the table that metadata.json names"
         try:
-            text = (folder / "domain.pddl").read_text(encoding="utf-8")
-        except (OSError, UnicodeDecodeError) as error:
+            text = store.place.read(f"{folder}/domain.pddl").decode()
+        except (StoreError, UnicodeDecodeError) as error:
             yield folder, "unreadable", f"domain.pddl: {error}"
             continue
-        if content_hash(text)[:16] != folder.name:
+        if content_hash(text)[:16] != PurePosixPath(folder).parts[2]:
             yield folder, "damaged", "domain.pddl is not the text that the domain's id stands for"
 
 
 def _leftovers(store: Store) -> _Found:
-    for path in sorted(store.root.rglob(f"{PART}*")):
-        if not any(parent.name.startswith((PART, DAMAGED)) for parent in path.parents):
-            yield path, "leftover", "a process was killed while it wrote this, or is writing it"
+    for entry in store.place.leftovers():
+        yield entry.name, "leftover", "a process was killed while it wrote this, or is writing it"
 
 
 _CHECKS: dict[str, Callable[[Store], _Found]] = dict(
-    zip(CHECKED, (_tables, _records, _manifest, _snapshots, _domains, _leftovers), strict=True)
+    zip(CHECKED, (_tables, _records, _manifest, _states, _snapshots, _domains, _leftovers), strict=True)
 )
 
 
-def _sha256(path: Path) -> str | None:
+def _sha256(store: Store, name: str) -> str | None:
     try:
-        with path.open("rb") as file:
+        with store.place.open(name) as file:
             return hashlib.file_digest(file, "sha256").hexdigest()
-    except OSError:
+    except StoreError:
         return None
 
 
@@ -191,53 +205,56 @@ def repair(
     """
     now_s = time.time() if now_s is None else now_s
     done = []
-    with locked(store.sweep_lock):
+    with store.place.guard(SWEEP):
         for fault in faults:
-            path = store.root / fault.path
+            names = _names_of(store, fault.path)
             if fault.kind == "missing":
                 done.append(
                     Repair(fault.path, "left", f"{fault.detail}: `demoplan reprocess` makes it again")
                 )
             elif fault.kind == "leftover":
-                done.append(_remove_leftover(path, fault, leftover_age_s, now_s))
-            elif path.exists():  # a folder with two faults is moved once
-                target = _set_aside(store, path)
+                done.append(_remove_leftover(store, fault, names, leftover_age_s, now_s))
+            elif names:  # a folder with two faults is moved once
+                target = _set_aside(store, fault.path, names)
                 done.append(Repair(fault.path, "set aside", f"{fault.detail}; now {target}"))
-                if path == store.manifest.path:
+                if fault.path == store.manifest.name:
                     done.append(_restore_manifest(store))
     return sorted(done)
 
 
-def _remove_leftover(path: Path, fault: Fault, leftover_age_s: float, now_s: float) -> Repair:
-    try:
-        age_s = now_s - path.stat().st_mtime
-    except FileNotFoundError:
+def _names_of(store: Store, name: str) -> list[str]:
+    """A file by its name, or all files of the folder of that name."""
+    return [name] if store.place.entry(name) is not None else store.place.names(name)
+
+
+def _remove_leftover(
+    store: Store, fault: Fault, names: list[str], leftover_age_s: float, now_s: float
+) -> Repair:
+    entries = [entry for entry in map(store.place.entry, names) if entry is not None]
+    if not entries:
         return Repair(fault.path, "left", "is finished by now")
+    age_s = now_s - max(entry.modified_s for entry in entries)
     if age_s < leftover_age_s:
         return Repair(fault.path, "left", f"{age_s:.0f} s old: its process may be running")
-    if path.is_dir():
-        shutil.rmtree(path)
-    else:
-        path.unlink(missing_ok=True)
+    for entry in entries:
+        store.place.remove(entry.name)
     return Repair(fault.path, "removed", fault.detail)
 
 
-def _set_aside(store: Store, path: Path) -> str:
+def _set_aside(store: Store, name: str, names: list[str]) -> str:
     """Move a file or folder below ``damaged/``, beside what was moved there before under the same name."""
-    relative = path.relative_to(store.root)
-    target = store.root / DAMAGED / relative
-    number = 1
-    while target.exists():
+    target, number = f"{SET_ASIDE}/{name}", 1
+    while _names_of(store, target):
         number += 1
-        target = store.root / DAMAGED / relative.with_name(f"{relative.name}.{number}")
-    target.parent.mkdir(parents=True, exist_ok=True)
-    path.rename(target)
-    return target.relative_to(store.root).as_posix()
+        target = f"{SET_ASIDE}/{name}.{number}"
+    for each in names:
+        store.place.move(each, target + each.removeprefix(name))
+    return target
 
 
 def _restore_manifest(store: Store) -> Repair:
     """Take the states of the last snapshot that can be read; what came after it is found again by running."""
-    name = store.manifest.path.name
+    name = store.manifest.name
     try:
         history = store.snapshots.log()
     except StoreError:
