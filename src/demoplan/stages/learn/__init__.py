@@ -1,9 +1,10 @@
 """Transitions to operators: few, right, and with the evidence behind each literal.
 
-Read in order: ``encode`` (names to integers), ``mend`` (misreadings put right), ``settle`` (changes that a boundary cut in two), ``bind``
-(which objects matter), ``lift`` (instances to variables), ``merge`` (which transitions are one operator),
-``relevance`` and ``decide`` (which literals are stated), ``sound`` and ``reach`` (that plans are possible and
-safe), and ``learning``, which puts them together.
+Read in order: ``encode`` (names to integers), ``mend`` (misreadings put right, with ``courses``,
+``misreadings`` and ``exclusion``), ``settle`` (changes that a boundary cut in two), ``bind`` (which objects
+matter), ``lift`` (instances to variables), ``merge`` (which transitions are one operator), ``relevance`` and
+``decide`` (which literals are stated), ``sound`` and ``reach`` (that plans are possible and safe), and
+``learning``, which puts them together.
 """
 
 from demoplan.stages.learn.learning import Learned, learn, planner_cost, success_probability
