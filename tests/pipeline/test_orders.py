@@ -26,7 +26,7 @@ def orders_of(job):
     given = []
 
     def crew(work, orders):
-        assert work is ingesting.ingest_order
+        assert work is ingesting.ingest_group
         given.extend(orders)
         yield from ((order, None) for order in orders)
 
@@ -35,13 +35,13 @@ def orders_of(job):
 
 def test_an_order_is_paths_and_hashes_and_gives_the_same_tables_as_the_job(job, tmp_path):
     given, _ = orders_of(job)
-    (order,) = given
+    ((order,),) = given
     assert len(pickle.dumps(order)) < 1500
-    setting = setting_of(job.store_root, order.setting)
+    setting = setting_of(job.store, order.setting)
     assert (setting.mapping, setting.vocabulary) == (job.mapping, job.vocabulary)
-    there = ingesting.ingest_order(order)
-    assert there.status == "complete"
-    assert there == ingesting.ingest_episode(job)
+    (there,) = ingesting.ingest_group((order,))
+    assert there.state.status == "complete"
+    assert there.state == ingesting.ingest_episode(job)
 
 
 def test_an_episode_whose_workers_died_is_set_aside_with_the_reason_and_has_its_row(job, tmp_path):
@@ -60,10 +60,10 @@ def test_a_setting_that_was_changed_or_is_not_there_is_refused(job, tmp_path):
     path.write_text(path.read_text().replace("cube", "tube"))
     setting_of.cache_clear()
     with pytest.raises(StoreError, match="not what its name stands for"):
-        ingesting.ingest_order(given[0])
+        ingesting.ingest_group(given[0])
     path.unlink()
     with pytest.raises(StoreError, match="every worker needs the store"):
-        ingesting.ingest_order(given[0])
+        ingesting.ingest_group(given[0])
 
 
 def test_segmenting_by_order_gives_what_segmenting_here_gives(job, tmp_path, monkeypatch):
@@ -86,7 +86,7 @@ def test_segmenting_by_order_gives_what_segmenting_here_gives(job, tmp_path, mon
     (again,) = activities.segment_episodes(opened, Store(tmp_path), [state], chosen, crew=crew)
     assert len(given) == 1, "what is there is not given away"
     assert there == again
-    fresh = ingesting.replace(job, store_root=tmp_path / "here")
+    fresh = ingesting.replace(job, store=str(tmp_path / "here"))
     (here,) = activities.segment_episodes(
         opened, Store(tmp_path / "here"), [ingesting.ingest_episode(fresh)], chosen
     )
@@ -97,12 +97,12 @@ def test_a_segmenter_that_changed_after_the_order_was_given_is_refused(job, tmp_
     from demoplan.pipeline import activities
 
     order = activities.SegmentOrder(
-        store_root=tmp_path,
+        store=str(tmp_path),
         setting="",
-        state=ingesting.EpisodeState(dataset="d", episode_id="e"),
+        states=(ingesting.EpisodeState(dataset="d", episode_id="e"),),
         segmenter="rules",
         content="of another one",
         params=activities.SegmentParams(),
     )
     with pytest.raises(StoreError, match="not the segmenter that was chosen"):
-        activities.segment_order(order)
+        activities.segment_group(order)

@@ -246,10 +246,10 @@ def test_a_log_that_failed_is_not_tried_again_until_something_changed(lab):
 
 
 def test_a_changed_table_declaration_is_told_apart_from_changed_code(lab, monkeypatch):
-    from demoplan.pipeline import ingest, reasons, staleness
+    from demoplan.pipeline import episode_stages, reasons, segment_stages, staleness
 
     _, store = lab
-    for module in (staleness, ingest):
+    for module in (staleness, episode_stages, segment_stages):
         real = module.code_version
         monkeypatch.setattr(module, "code_version", lambda *names, real=real: f"new {real(*names)}")
     assert set(find_stale(store).rows.filter(find_stale(store).rows["stage"] == "read")["reason"]) == {"code"}

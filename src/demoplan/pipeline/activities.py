@@ -2,7 +2,7 @@
 
 import functools
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
@@ -11,24 +11,30 @@ import polars as pl
 
 from demoplan.errors import StoreError, UnknownNameError, UsageError
 from demoplan.ids import ContentHash, content_hash
-from demoplan.language.types import TypeHierarchy
 from demoplan.pipeline.crews import Crew, Processes
 from demoplan.pipeline.datasets import OpenDataset, remember
-from demoplan.pipeline.ingest import EpisodeTables, StaleError, ingest, jobs_of
+from demoplan.pipeline.episode_stages import EpisodeTables
+from demoplan.pipeline.ingest import MOST_IN_GROUP, Ledger, ingest, jobs_of
+from demoplan.pipeline.memory import keep_memory
 from demoplan.pipeline.orders import keep_setting, setting_of, setting_of_dataset, types_of_entities
 from demoplan.pipeline.reporting import Progress, silent
-from demoplan.stages.contrast import ContrastParams, contrast
+from demoplan.pipeline.segment_stages import (
+    ChosenSegmenter,
+    Contrasted,
+    SegmentRecipe,
+    contrast_stage,
+    is_contrasted,
+    segment_stage,
+)
 from demoplan.stages.score import confusion, majority_activities, score_segmentation
 from demoplan.stages.segment import (
     PUBLISHED_RULES,
     RULES,
-    RuleTree,
     Segmenter,
     SegmentParams,
     TrainParams,
     parse_segmenter,
     render_segmenter,
-    segment,
     train,
 )
 from demoplan.store import EpisodeState, Store, stage_key
@@ -36,13 +42,10 @@ from demoplan.store.atomic import write_bytes
 from demoplan.store.code_version import code_version
 from demoplan.store.objects import Table
 from demoplan.store.store import canonical_json
-from demoplan.tables import Activities, Confusions, Facts, Frames, Scores, Transitions
+from demoplan.tables import Activities, Confusions, Facts, Frames, Scores
 
 MAJORITY = "most frequent activity"
 """Name of the naive alternative to a segmenter."""
-
-CONTRAST = ContrastParams()
-"""How activities are contrasted; part of what makes transitions stale."""
 
 RULE_TREES = {"rules": RULES, "published_rules": PUBLISHED_RULES}
 """What needs no labels: the published rule tree with memory for its thresholds, and as it was published."""
@@ -51,18 +54,6 @@ MANY = 64
 """Fewer episodes than this are segmented here: each takes some 20 ms, and starting a process two seconds."""
 
 METHODS = ("decision_tree", "distilled_tree", "random_forest", "extra_trees", "gradient_boosting")
-
-
-@dataclass(frozen=True, kw_only=True)
-class ChosenSegmenter:
-    """A segmenter, with what names it in keys and reports."""
-
-    segmenter: Segmenter | RuleTree
-    method: str
-    content: str
-    """Hash of what it is."""
-    source: str
-    """Where another process finds it: the name of a rule tree, or a path."""
 
 
 def usable(states: Iterable[EpisodeState]) -> list[EpisodeState]:
@@ -245,7 +236,7 @@ def segment_episodes(
     opened: OpenDataset,
     store: Store,
     states: Sequence[EpisodeState],
-    segmenters: dict[str, ChosenSegmenter],
+    segmenters: Mapping[str, ChosenSegmenter],
     *,
     params: SegmentParams = SegmentParams(),
     is_kept: bool = True,
@@ -265,76 +256,109 @@ def segment_episodes(
         on_done: Called with each episode when it is done.
     """
     results = {state.episode_id: state for state in states}
-    setting: ContentHash | None = None
-    orders = []
+    changed: list[EpisodeState] = []
+    waiting: dict[str, list[EpisodeState]] = {}
+    recipe, index = recipe_of(opened, params), store.index()
     for state in states:
         by = segmenters.get(state.episode_id)
-        found = state if by is None else _found(opened, store, state, by, params)
+        found = state if by is None else recipe.standing(state, by, index)
         if found is not None:
             results[state.episode_id] = found
+            changed += [found] if found != state else []
             on_done(found)
         elif by is not None:
-            setting = setting or keep_setting(store.root, setting_of_dataset(opened))
-            orders.append(_order_of(store, setting, state, by, params))
-    for order, done in (crew if len(orders) >= MANY else Processes(1))(segment_order, orders):
-        result = done or replace(
-            order.state, status="quarantined", reason="every process that segmented it died (out of memory?)"
-        )
-        results[result.episode_id] = result
-        on_done(result)
-    if is_kept:
-        store.manifest.update(results.values())
+            waiting.setdefault(by.content, []).append(state)
+    orders = _orders_of(opened, store, waiting, segmenters, params)
+    n_waiting = sum(len(order.states) for order in orders)
+    with Ledger(store) as ledger:
+        for state in changed if is_kept else ():
+            ledger.note(state)
+        for result in _segmented(crew if n_waiting >= MANY else Processes(1), orders):
+            results[result.episode_id] = result
+            if is_kept:
+                ledger.note(result)
+            on_done(result)
     return list(results.values())
 
 
-def _found(
-    opened: OpenDataset, store: Store, state: EpisodeState, by: ChosenSegmenter, params: SegmentParams
-) -> EpisodeState | None:
-    """What the store holds of an episode's activities and transitions, if nothing of it is stale."""
-    tables = EpisodeTables(store, may_work=False)
-    try:
-        segment_stages(entity_types(opened), opened.vocabulary.types, state, by, tables, params)
-    except StaleError:
-        return None
-    return replace(state, tables=tables.contents, keys=state.keys | tables.keys)
+def recipe_of(opened: OpenDataset, params: SegmentParams = SegmentParams()) -> SegmentRecipe:
+    """What a dataset's episodes are segmented with, besides a segmenter."""
+    return SegmentRecipe(entities=entity_types(opened), types=opened.vocabulary.types, params=params)
 
 
 @dataclass(frozen=True, kw_only=True)
 class SegmentOrder:
-    """One episode to segment: hashes of its tables, and where its segmenter is."""
+    """Some episodes to segment: hashes of their tables, and where their segmenter is."""
 
-    store_root: Path
+    store: str
     setting: ContentHash
-    state: EpisodeState
+    states: tuple[EpisodeState, ...]
     segmenter: str
     content: str
     params: SegmentParams
 
 
-def _order_of(
-    store: Store, setting: ContentHash, state: EpisodeState, by: ChosenSegmenter, params: SegmentParams
-) -> SegmentOrder:
-    return SegmentOrder(
-        store_root=store.root,
-        setting=setting,
-        state=state,
-        segmenter=by.source,
-        content=by.content,
-        params=params,
-    )
+def _orders_of(
+    opened: OpenDataset,
+    store: Store,
+    waiting: Mapping[str, Sequence[EpisodeState]],
+    segmenters: Mapping[str, ChosenSegmenter],
+    params: SegmentParams,
+) -> list[SegmentOrder]:
+    """Groups of episodes that have one segmenter."""
+    if not waiting:
+        return []
+    setting = keep_setting(store.location, setting_of_dataset(opened))
+    return [
+        SegmentOrder(
+            store=store.location,
+            setting=setting,
+            states=tuple(members[start : start + MOST_IN_GROUP]),
+            segmenter=segmenters[members[0].episode_id].source,
+            content=content,
+            params=params,
+        )
+        for content, members in waiting.items()
+        for start in range(0, len(members), MOST_IN_GROUP)
+    ]
 
 
-def segment_order(order: SegmentOrder) -> EpisodeState:
-    """Segment the episode of an order; this is what a crew's workers run.
+def _segmented(crew: Crew, orders: Sequence[SegmentOrder]) -> Iterator[EpisodeState]:
+    """Have every order done; of a group whose worker died, each episode is tried alone."""
+    suspects: list[SegmentOrder] = []
+    for order, done in crew(segment_group, orders):
+        if done is not None:
+            yield from done
+        else:
+            suspects += [replace(order, states=(state,)) for state in order.states]
+    for order, done in crew(segment_group, suspects) if suspects else ():
+        reason = "every process that segmented it died (out of memory?)"
+        yield from done or [replace(order.states[0], status="quarantined", reason=reason)]
+
+
+def segment_group(order: SegmentOrder) -> list[EpisodeState]:
+    """Segment the episodes of an order; this is what a crew's workers run.
 
     Raises:
         StoreError: If the store cannot be read or written there, or the segmenter has changed meanwhile.
     """
-    chosen = _segmenter_of(order.segmenter, order.content)
-    setting = setting_of(order.store_root, order.setting)
-    tables = EpisodeTables(Store(order.store_root))
-    segment_stages(setting.entities, setting.vocabulary.types, order.state, chosen, tables, order.params)
-    return replace(order.state, tables=tables.contents, keys=order.state.keys | tables.keys)
+    keep_memory()
+    store = Store(order.store)
+    chosen, setting = _segmenter_of(order.segmenter, order.content), setting_of(order.store, order.setting)
+    recipe = SegmentRecipe(entities=setting.entities, types=setting.vocabulary.types, params=order.params)
+    with store.together():
+        found = []
+        for state in order.states:
+            tables = EpisodeTables(store)
+            segment_stage(state, chosen, tables, recipe)
+            found.append(tables)
+        changed = Contrasted(recipe, [tables for tables in found if not is_contrasted(tables, recipe)])
+        for tables in found:
+            contrast_stage(tables, recipe, changed)
+    return [
+        replace(state, tables=tables.contents, keys=state.keys | tables.keys)
+        for state, tables in zip(order.states, found, strict=True)
+    ]
 
 
 @functools.lru_cache(maxsize=32)
@@ -343,55 +367,6 @@ def _segmenter_of(source: str, content: str) -> ChosenSegmenter:
     if chosen.content != content:
         raise StoreError(f"{source}: is not the segmenter that was chosen; it has changed: run again")
     return chosen
-
-
-def segment_stages(
-    entities: Mapping[str, str],
-    types: TypeHierarchy,
-    state: EpisodeState,
-    chosen: ChosenSegmenter,
-    tables: EpisodeTables,
-    params: SegmentParams = SegmentParams(),
-) -> None:
-    """Run the stages from facts to transitions of an episode whose output is not there."""
-    tables.contents |= state.tables
-    tables.run(
-        "segment",
-        modules=["demoplan.stages.segment"],
-        inputs={
-            "frames": state.tables["frames"],
-            "facts": state.tables["facts"],
-            "segmenter": chosen.content,
-        },
-        params={"params": asdict(params), "entities": entities, "types": types.parents},
-        make=lambda: {
-            "activities": (
-                segment(
-                    tables.get("frames", Frames),
-                    tables.get("facts", Facts),
-                    entities,
-                    types,
-                    chosen.segmenter,
-                    params=params,
-                ),
-                Activities,
-            )
-        },
-    )
-    tables.run(
-        "contrast",
-        modules=["demoplan.stages.contrast"],
-        inputs={"activities": tables.contents["activities"], "facts": state.tables["facts"]},
-        params={"params": asdict(CONTRAST), "entities": entities},
-        make=lambda: {
-            "transitions": (
-                contrast(
-                    tables.get("activities", Activities), tables.get("facts", Facts), entities, CONTRAST
-                ),
-                Transitions,
-            )
-        },
-    )
 
 
 def _ingested(opened: OpenDataset, store: Store, n_workers: int, progress: Progress) -> list[EpisodeState]:

@@ -1,162 +1,102 @@
-"""Logs to facts, by episode: what is up to date is skipped, what is bad is set aside with its reason."""
+"""Logs to facts, by the thousand: what is up to date is skipped, what is bad is set aside with its reason."""
 
-import json
+import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass, replace
-from pathlib import Path
+from dataclasses import dataclass, replace
 
 import dataframely as dy
 import polars as pl
 
-from demoplan.errors import DataError, DemoplanError, LogError, StoreError
-from demoplan.ids import ContentHash
-from demoplan.language.vocabulary import Vocabulary
-from demoplan.logs import fingerprint, open_log
+from demoplan.errors import DemoplanError, StoreError
+from demoplan.ids import ContentHash, content_hash
 from demoplan.manifests.dataset import Episode
-from demoplan.manifests.labels import activities_of_labels
-from demoplan.manifests.mapping import Mapping
 from demoplan.pipeline.crews import Crew, Processes
-from demoplan.pipeline.datasets import OpenDataset
+from demoplan.pipeline.episode_stages import (
+    ChangedLogError,
+    EpisodeTables,
+    IngestJob,
+    is_standing,
+    jobs_of,
+    log_hash,
+    run_stages,
+)
 from demoplan.pipeline.memory import keep_memory
 from demoplan.pipeline.orders import IngestOrder, Setting, keep_setting, setting_of
-from demoplan.pipeline.plausibility import refuse_implausible
-from demoplan.stages.align import AlignParams, align
-from demoplan.stages.perceive import PerceiveParams, perceive
-from demoplan.store import EpisodeState, Store, stage_key
-from demoplan.store.code_version import code_version
-from demoplan.store.objects import Table
-from demoplan.store.store import StageOutput, canonical_json
-from demoplan.tables import Activities, Episodes, Facts, Frames, Samples, Topics
+from demoplan.pipeline.seen import Seen, SeenLogs, settled_signature, signature_of
+from demoplan.store import EpisodeState, Store
+from demoplan.store.index import Index
+from demoplan.store.store import canonical_json
+from demoplan.tables import Episodes, Frames
+
+__all__ = ["IngestJob", "ingest", "ingest_episode", "ingest_group", "jobs_of"]
 
 LATER_STAGES = ("segment", "contrast")
 LATER_TABLES = ("activities", "transitions")
 """What comes of an episode after ingesting, and stays when it is ingested again with the same result."""
 
+MOST_IN_GROUP = 16
+"""Episodes that one worker takes at once: they become durable together, which is most of the waiting."""
+MOST_BYTES_IN_GROUP = 64 << 20
+"""Logs of a group, so that little is done again if its worker dies."""
+LEAST_GROUPS = 8
+"""Of few episodes, groups are smaller: nobody is to be idle while another has many."""
+
 
 @dataclass(frozen=True, kw_only=True)
-class IngestJob:
-    """All that a process needs to ingest one episode."""
+class Ingested:
+    """What a worker gives back of one episode."""
 
-    store_root: Path
-    dataset: str
-    episode: Episode
-    log: Path
-    labels: Path | None
-    label_format: str
-    mapping: Mapping
-    vocabulary: Vocabulary
-    definitions_root: Path
-    tick_rate_hz: float
-    known_sha256: str | None = None
-    """Hash of the log's bytes where it is not there to be read any more, but was read before."""
+    state: EpisodeState
+    seen: Seen | None
+    """Its log, as it was read; None if it could not be."""
 
 
-def jobs_of(opened: OpenDataset, store: Store, episodes: Sequence[Episode]) -> list[IngestJob]:
-    """One job for each of these episodes."""
-    return [
-        IngestJob(
-            store_root=store.root,
-            dataset=opened.dataset.name,
-            episode=episode,
-            log=opened.log_of(episode),
-            labels=opened.labels_of(episode),
-            label_format=opened.dataset.label_format,
-            mapping=opened.dataset.mapping,
-            vocabulary=opened.vocabulary,
-            definitions_root=opened.folder,
-            tick_rate_hz=opened.dataset.tick_rate_hz,
-        )
-        for episode in episodes
-    ]
-
-
-class StaleError(Exception):
-    """A stage would have to run, and may not."""
-
-
-class EpisodeTables:
-    """The tables of one episode while its stages run: kept in memory, stored as they come."""
-
-    def __init__(self, store: Store, *, may_work: bool = True) -> None:
-        """Run stages over ``store``; without ``may_work``, only find what is there already."""
-        self.store = store
-        self.may_work = may_work
-        self._memory: dict[str, pl.DataFrame] = {}
-        self.contents: dict[str, str] = {}
-        self.keys: dict[str, str] = {}
-        self.notes: dict[str, str] = {}
-        self.attempt: str | None = None
-        """Key of the stage that runs now; it stays if the stage fails."""
-
-    def run(
-        self,
-        stage: str,
-        *,
-        modules: Sequence[str],
-        inputs: dict[str, str],
-        params: object,
-        make: Callable[[], dict[str, tuple[pl.DataFrame, type[dy.Schema]]]],
-    ) -> bool:
-        """Run a stage if its output is not there; say whether it was made anew."""
-        made: dict[str, pl.DataFrame] = {}
-
-        def work() -> StageOutput:
-            if not self.may_work:
-                raise StaleError
-            tables = make()
-            made.update({name: table for name, (table, _) in tables.items()})
-            return StageOutput(tables=tables, notes=dict(self.notes))
-
-        version = code_version(*modules)
-        self.attempt = str(stage_key(stage, inputs, canonical_json(params), version))
-        record = self.store.run(stage, inputs, canonical_json(params), version, work)
-        self.attempt = None
-        self.contents |= record.outputs
-        self.keys[stage] = str(record.key)
-        self.notes |= record.notes
-        for name, table in made.items():
-            self._memory[record.outputs[name]] = table
-        return bool(made)
-
-    def get(self, name: str, schema: type[Table]) -> dy.DataFrame[Table]:
-        """A table of this episode, from memory if it was made just now."""
-        content = self.contents[name]
-        if content in self._memory:
-            return self._memory[content]  # type: ignore[return-value]
-        return self.store.get(content, schema)
-
-
-def _found(job: IngestJob) -> EpisodeState | None:
-    """What the store holds of an episode, if nothing of it is stale."""
-    try:
-        return ingest_episode(job, may_work=False)
-    except StaleError:
-        return None
-
-
-def ingest_episode(job: IngestJob, *, may_work: bool = True) -> EpisodeState:
+def ingest_episode(job: IngestJob, store: Store | None = None) -> EpisodeState:
     """Read, align and perceive one episode; a log that cannot be used is quarantined with its reason.
+
+    A log that changes while it is read is read once more, and quarantined if it changes again.
 
     Args:
         job: What to ingest.
-        may_work: Whether stages may run whose output is not there.
+        store: The job's store, if it is open already.
 
     Returns:
         What the store now holds of the episode. Nothing of the manifest is changed here.
     """
+    return _ingested(job, store or Store(job.store)).state
+
+
+def _ingested(job: IngestJob, store: Store) -> Ingested:
     keep_memory()
-    store = Store(job.store_root)
-    tables = EpisodeTables(store, may_work=may_work)
-    sha256: str | None = None
     try:
+        return _tried(job, store)
+    except ChangedLogError:
+        pass
+    try:
+        return _tried(job, store)
+    except ChangedLogError as error:
+        return Ingested(state=_settled(job, EpisodeTables(store), None, "quarantined", str(error)), seen=None)
+
+
+def _tried(job: IngestJob, store: Store) -> Ingested:
+    tables = EpisodeTables(store)
+    sha256, signature = None, ""
+    try:
+        if job.known_sha256 is None:
+            signature = settled_signature(signature_of(job.log))
         sha256 = log_hash(job)
         run_stages(job, tables, sha256)
         status, reason = tables.notes.get("status", "complete"), tables.notes.get("reason") or None
-    except StoreError:
+    except (StoreError, ChangedLogError):
         raise
     except (DemoplanError, pl.exceptions.PolarsError, dy.exc.ValidationError) as error:
         status, reason = "quarantined", str(error)
-    return _settled(job, tables, sha256, status, reason)
+    state = _settled(job, tables, sha256, status, reason)
+    if sha256 is None:
+        return Ingested(state=state, seen=None)
+    return Ingested(
+        state=state, seen=Seen(signature=signature, sha256=sha256, row=_row_of(job, state, sha256))
+    )
 
 
 def _settled(
@@ -200,108 +140,20 @@ def _settled(
     )
 
 
-def log_hash(job: IngestJob) -> str:
-    """The hash of the bytes of a job's log.
-
-    Raises:
-        LogError: If the log cannot be read, or is not the one that the dataset's manifest names.
-    """
-    sha256 = job.known_sha256 or str(fingerprint(job.log))
-    if job.episode.sha256 is not None and job.episode.sha256 != sha256:
-        raise LogError(
-            job.log,
-            f"its content is not what the manifest names: sha256 {sha256}, expected {job.episode.sha256}; "
-            "it was changed or damaged on the way",
-        )
-    return sha256
-
-
-def run_stages(job: IngestJob, tables: EpisodeTables, sha256: str) -> None:
-    """Run every stage of ingesting an episode whose output is not there."""
-    _read(job, tables, sha256)
-    _align(job, tables)
-    _perceive(job, tables)
-    if job.labels is not None:
-        _labels(job, tables)
-
-
-def _read(job: IngestJob, tables: EpisodeTables, sha256: str) -> None:
-    def make() -> dict[str, tuple[pl.DataFrame, type[dy.Schema]]]:
-        stream = open_log(job.log, job.mapping, job.episode.id, definitions_root=job.definitions_root)
-        batches = [*stream.batches()]
-        samples = pl.concat(batches) if batches else Samples.create_empty()
-        refuse_implausible(Samples.cast(samples), stream.topics, job.mapping)
-        tables.notes |= {"status": stream.status, "reason": stream.reason or ""}
-        return {"samples": (samples, Samples), "topics": (stream.topics, Topics)}
-
-    tables.run(
-        "read",
-        modules=["demoplan.logs", "demoplan.pipeline.plausibility"],
-        inputs={"log": sha256},
-        params={"episode_id": job.episode.id, "mapping": job.mapping.model_dump(mode="json")},
-        make=make,
-    )
-
-
-def _align(job: IngestJob, tables: EpisodeTables) -> None:
-    params = AlignParams(tick_rate_hz=job.tick_rate_hz)
-    tables.run(
-        "align",
-        modules=["demoplan.stages.align"],
-        inputs={"samples": tables.contents["samples"]},
-        params={"params": asdict(params), "mapping": job.mapping.model_dump(mode="json")},
-        make=lambda: {"frames": (align(tables.get("samples", Samples), job.mapping, params), Frames)},
-    )
-
-
-def _perceive(job: IngestJob, tables: EpisodeTables) -> None:
-    params = PerceiveParams()
-    tables.run(
-        "perceive",
-        modules=["demoplan.stages.perceive"],
-        inputs={"frames": tables.contents["frames"]},
-        params={
-            "params": asdict(params),
-            "entities": {name: e.model_dump(mode="json") for name, e in job.mapping.entities.items()},
-            "vocabulary": asdict(job.vocabulary),
-        },
-        make=lambda: {
-            "facts": (
-                perceive(tables.get("frames", Frames), job.mapping.entities, job.vocabulary, params),
-                Facts,
-            )
-        },
-    )
-
-
-def _labels(job: IngestJob, tables: EpisodeTables) -> None:
-    """True activities: stored apart, for training and scoring only."""
-    assert job.labels is not None
-    try:
-        text = job.labels.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise DataError(f"{job.labels}: labels cannot be read: {error}") from None
-    tables.run(
-        "labels",
-        modules=["demoplan.manifests.labels"],
-        inputs={"labels": text, "samples": tables.contents["samples"]},
-        params={"format": job.label_format, "episode_id": job.episode.id},
-        make=lambda: {
-            "labels": (
-                activities_of_labels(
-                    json.loads(text), job.label_format, job.episode.id, tables.get("samples", Samples)
-                ),
-                Activities,
-            )
-        },
-    )
-
-
 def _extent(tables: EpisodeTables) -> tuple[int | None, int | None]:
     if "frames" not in tables.contents:
         return None, None
     ticks = tables.get("frames", Frames)["tick_ns"]
     return (int(ticks.min()), int(ticks.max())) if len(ticks) else (None, None)  # type: ignore[arg-type]
+
+
+def _row_of(job: IngestJob, state: EpisodeState, sha256: str) -> str:
+    """Hash of all that an episode's row in the table ``episodes`` is made of."""
+    episode = job.episode
+    said = [job.dataset, episode.id, episode.file, episode.participant, episode.task, episode.is_goal_reached]
+    return content_hash(
+        canonical_json([*said, sha256, state.status, state.reason, state.tables.get("frames")])
+    )
 
 
 def ingest(
@@ -311,7 +163,7 @@ def ingest(
     crew: Crew | None = None,
     on_done: Callable[[EpisodeState], None],
 ) -> list[EpisodeState]:
-    """Ingest episodes, and write what became of each into the manifest as it ends.
+    """Ingest episodes, and write what became of each into the manifest.
 
     A process that dies takes only its own episode with it: that one is quarantined, the others go on.
 
@@ -324,14 +176,80 @@ def ingest(
     states: list[EpisodeState] = []
     if not jobs:
         return states
-    manifest = Store(jobs[0].store_root).manifest
-    before = {(state.dataset, state.episode_id): state for state in manifest.episodes()}
-    for found in _run(jobs, crew or Processes(n_workers)):
-        state = _with_what_still_holds(found, before.get((found.dataset, found.episode_id)))
-        manifest.update([state])
-        states.append(state)
-        on_done(state)
+    store = Store(jobs[0].store)
+    before = {(state.dataset, state.episode_id): state for state in store.manifest.episodes()}
+    waiting = []
+    with Ledger(store) as ledger:
+        index = store.index()
+        for job in jobs:
+            old = before.get((job.dataset, job.episode.id))
+            if old is None or not stands(job, old, ledger.seen, index):
+                waiting.append(job)
+                continue
+            states.append(old)
+            on_done(old)
+        for done in _run(store, waiting, crew or Processes(n_workers)):
+            old = before.get((done.state.dataset, done.state.episode_id))
+            state = _with_what_still_holds(done.state, old)
+            ledger.note(state, done.seen)
+            states.append(state)
+            on_done(state)
     return sorted(states, key=lambda state: state.episode_id)
+
+
+def stands(job: IngestJob, state: EpisodeState, seen: SeenLogs, index: Index) -> bool:
+    """Whether nothing of an episode is to be done again: its log, what it is read with, what is said of it.
+
+    No file is read but those with true labels. Where the log was changed lately, or was never seen, the
+    answer is no, and its content decides later.
+    """
+    last = seen.of(job.dataset, job.episode.id)
+    try:
+        if last is None or seen.sha256_of(job.dataset, job.episode.id, job.log) is None:
+            return False
+        if job.episode.sha256 not in (None, last.sha256):
+            return False
+        return last.row == _row_of(job, state, last.sha256) and is_standing(job, state, last.sha256, index)
+    except DemoplanError:
+        return False
+
+
+class Ledger:
+    """Writes what became of episodes into the manifest, many at a time, and all that is left at the end.
+
+    What a killed run has not written is found again by its records.
+    """
+
+    def __init__(self, store: Store, least_s: float = 1.0, most_share: float = 0.05) -> None:
+        """Write at most so often, and for at most that share of the time."""
+        self.seen = SeenLogs(store)
+        self._manifest = store.manifest
+        self._least_s, self._most_share = least_s, most_share
+        self._states: list[EpisodeState] = []
+        self._due_s = time.monotonic() + least_s
+
+    def __enter__(self) -> "Ledger":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._write()
+
+    def note(self, state: EpisodeState, seen: Seen | None = None) -> None:
+        """Take up an episode."""
+        self._states.append(state)
+        if seen is not None:
+            self.seen.note(state.dataset, state.episode_id, seen)
+        if time.monotonic() >= self._due_s:
+            self._write()
+
+    def _write(self) -> None:
+        start_s = time.monotonic()
+        if self._states:
+            self._manifest.update(self._states)
+            self._states = []
+        self.seen.keep()
+        now_s = time.monotonic()
+        self._due_s = now_s + max(self._least_s, (now_s - start_s) / self._most_share)
 
 
 def _with_what_still_holds(new: EpisodeState, old: EpisodeState | None) -> EpisodeState:
@@ -345,21 +263,49 @@ def _with_what_still_holds(new: EpisodeState, old: EpisodeState | None) -> Episo
     return replace(new, tables=later | new.tables, keys=keys | new.keys)
 
 
-def _run(jobs: Sequence[IngestJob], crew: Crew) -> Iterator[EpisodeState]:
-    # Finding that nothing is stale is quicker than giving it to another process.
-    waiting: dict[IngestOrder, IngestJob] = {}
+def _run(store: Store, jobs: Sequence[IngestJob], crew: Crew) -> Iterator[Ingested]:
+    """Have every job done; of a group whose worker died, each is tried alone."""
     settings: dict[tuple[int, int], ContentHash] = {}
+    by_order: dict[IngestOrder, IngestJob] = {}
     for job in jobs:
-        state = _found(job)
-        if state is not None:
-            yield state
-            continue
         shared = id(job.mapping), id(job.vocabulary)
         if shared not in settings:
             settings[shared] = _keep_setting(job)
-        waiting[_order_of(job, settings[shared])] = job
-    for order, done in crew(ingest_order, list(waiting)):
-        yield done if done is not None else _died(waiting[order])
+        by_order[_order_of(job, settings[shared])] = job
+    suspects: list[tuple[IngestOrder, ...]] = []
+    for group, done in crew(ingest_group, grouped(list(by_order), size_of=_n_bytes)):
+        if done is not None:
+            yield from done
+        elif len(group) == 1:
+            yield _died(by_order[group[0]], store)
+        else:
+            suspects += [(order,) for order in group]
+    for (order,), done in crew(ingest_group, suspects) if suspects else ():
+        yield from done if done is not None else [_died(by_order[order], store)]
+
+
+def _n_bytes(order: IngestOrder) -> int:
+    try:
+        return order.log.stat().st_size
+    except OSError:
+        return 0
+
+
+def grouped(
+    orders: Sequence[IngestOrder], size_of: Callable[[IngestOrder], int]
+) -> list[tuple[IngestOrder, ...]]:
+    """Orders in groups for one worker each: not too many, not too large, and not too few groups."""
+    most = max(1, min(MOST_IN_GROUP, len(orders) // LEAST_GROUPS))
+    groups: list[list[IngestOrder]] = []
+    n_bytes = 0
+    for order in orders:
+        size = size_of(order)
+        if not groups or len(groups[-1]) >= most or n_bytes + size > MOST_BYTES_IN_GROUP:
+            groups.append([])
+            n_bytes = 0
+        groups[-1].append(order)
+        n_bytes += size
+    return [tuple(group) for group in groups]
 
 
 def _keep_setting(job: IngestJob) -> ContentHash:
@@ -371,12 +317,12 @@ def _keep_setting(job: IngestJob) -> ContentHash:
         definitions_root=job.definitions_root,
         tick_rate_hz=job.tick_rate_hz,
     )
-    return keep_setting(job.store_root, setting)
+    return keep_setting(job.store, setting)
 
 
 def _order_of(job: IngestJob, setting: ContentHash) -> IngestOrder:
     return IngestOrder(
-        store_root=job.store_root,
+        store=job.store,
         setting=setting,
         episode=job.episode.model_dump_json(),
         log=job.log,
@@ -385,31 +331,35 @@ def _order_of(job: IngestJob, setting: ContentHash) -> IngestOrder:
     )
 
 
-def ingest_order(order: IngestOrder) -> EpisodeState:
-    """Ingest the episode of an order; this is what a crew's workers run.
+def ingest_group(orders: tuple[IngestOrder, ...]) -> list[Ingested]:
+    """Ingest the episodes of some orders; this is what a crew's workers run.
 
     Raises:
         StoreError: If the store cannot be read or written there.
     """
-    setting = setting_of(order.store_root, order.setting)
-    return ingest_episode(
-        IngestJob(
-            store_root=order.store_root,
-            dataset=setting.dataset,
-            episode=Episode.model_validate_json(order.episode),
-            log=order.log,
-            labels=order.labels,
-            label_format=setting.label_format,
-            mapping=setting.mapping,
-            vocabulary=setting.vocabulary,
-            definitions_root=setting.definitions_root,
-            tick_rate_hz=setting.tick_rate_hz,
-            known_sha256=order.known_sha256,
-        )
+    store = Store(orders[0].store)
+    with store.together():
+        return [_ingested(_job_of(order), store) for order in orders]
+
+
+def _job_of(order: IngestOrder) -> IngestJob:
+    setting = setting_of(order.store, order.setting)
+    return IngestJob(
+        store=order.store,
+        dataset=setting.dataset,
+        episode=Episode.model_validate_json(order.episode),
+        log=order.log,
+        labels=order.labels,
+        label_format=setting.label_format,
+        mapping=setting.mapping,
+        vocabulary=setting.vocabulary,
+        definitions_root=setting.definitions_root,
+        tick_rate_hz=setting.tick_rate_hz,
+        known_sha256=order.known_sha256,
     )
 
 
-def _died(job: IngestJob) -> EpisodeState:
+def _died(job: IngestJob, store: Store) -> Ingested:
     """What is known of an episode whose worker died each time it was tried."""
     reason = f"{job.log}: every process that read it died (out of memory?)"
-    return _settled(job, EpisodeTables(Store(job.store_root)), None, "quarantined", reason)
+    return Ingested(state=_settled(job, EpisodeTables(store), None, "quarantined", reason), seen=None)

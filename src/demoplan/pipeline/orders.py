@@ -11,7 +11,7 @@ from demoplan.ids import ContentHash, content_hash
 from demoplan.language.vocabulary import Vocabulary
 from demoplan.manifests.mapping import Mapping
 from demoplan.pipeline.datasets import OpenDataset
-from demoplan.store.atomic import write_bytes
+from demoplan.store.places import AbsentError, open_place
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,7 +52,8 @@ def setting_of_dataset(opened: OpenDataset) -> Setting:
 class IngestOrder:
     """One episode to ingest: a few hundred bytes."""
 
-    store_root: Path
+    store: str
+    """What opens the store again."""
     setting: ContentHash
     """Names the file in the store that holds what this episode shares with others."""
     episode: str
@@ -65,35 +66,38 @@ class IngestOrder:
 _SETTING = TypeAdapter(Setting)
 
 
-def keep_setting(store_root: Path, setting: Setting) -> ContentHash:
+def keep_setting(store: str, setting: Setting) -> ContentHash:
     """Write a setting into the store, if it is not there, and give back what names it."""
     text = _SETTING.dump_json(setting)
     name = content_hash(text)
-    path = _path_of(store_root, name)
-    if not path.is_file():
-        write_bytes(path, text)
+    place = open_place(store)
+    if place.entry(_name_of(name)) is None:
+        place.write(_name_of(name), text)
     return name
 
 
 @functools.lru_cache(maxsize=32)
-def setting_of(store_root: Path, name: ContentHash) -> Setting:
+def setting_of(store: str, name: ContentHash) -> Setting:
     """The setting of that name; it never changes, so a process reads it once.
 
     Raises:
         StoreError: If it is not there, or its bytes are not those that the name stands for.
     """
-    path = _path_of(store_root, name)
+    place = open_place(store)
+    shown = f"{place.location}: {_name_of(name)}"
     try:
-        text = path.read_bytes()
+        text = place.read(_name_of(name))
         if content_hash(text) != name:
-            raise StoreError(f"{path}: its content is not what its name stands for; delete it, and run again")
+            raise StoreError(
+                f"{shown}: its content is not what its name stands for; delete it, and run again"
+            )
         return _SETTING.validate_json(text)
-    except (OSError, ValidationError) as error:
+    except (AbsentError, ValidationError) as error:
         raise StoreError(
-            f"{path}: cannot be read by this worker: {error}; every worker needs the store, the logs and the "
-            "same version of demoplan"
+            f"{shown}: cannot be read by this worker: {error}; every worker needs the store, the logs and "
+            "the same version of demoplan"
         ) from None
 
 
-def _path_of(store_root: Path, name: ContentHash) -> Path:
-    return store_root / "settings" / f"{name}.json"
+def _name_of(name: ContentHash) -> str:
+    return f"settings/{name}.json"

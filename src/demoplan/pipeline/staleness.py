@@ -10,22 +10,22 @@ import polars as pl
 from demoplan.errors import DemoplanError, LogError, ManifestError, StoreError, UsageError
 from demoplan.ids import ContentHash
 from demoplan.pipeline.activities import (
-    ChosenSegmenter,
-    entity_types,
     read_segmenter,
-    segment_stages,
+    recipe_of,
     segmenter_path,
     training_key,
     training_of,
     usable,
 )
 from demoplan.pipeline.datasets import OpenDataset, recall, remembered, reopen, segmenter_of
-from demoplan.pipeline.ingest import EpisodeTables, IngestJob, jobs_of, log_hash, run_stages
+from demoplan.pipeline.episode_stages import EpisodeTables, IngestJob, jobs_of, log_hash, run_stages
+from demoplan.pipeline.ingest import stands
 from demoplan.pipeline.learning import learn_call
 from demoplan.pipeline.reasons import PENDING, reason_of
+from demoplan.pipeline.seen import SeenLogs
+from demoplan.pipeline.segment_stages import ChosenSegmenter, contrast_stage, segment_stage
 from demoplan.store import EpisodeState, Store, stage_key
 from demoplan.store.code_version import code_version
-from demoplan.store.store import canonical_json
 from demoplan.store.timings import Estimates
 
 OUTPUTS = {
@@ -125,7 +125,7 @@ class _PlannedTables(EpisodeTables):
     """Looks every stage up and runs none; the output of a stale one is pending."""
 
     def __init__(self, store: Store, state: EpisodeState | None, estimates: Estimates) -> None:
-        super().__init__(store, may_work=False)
+        super().__init__(store)
         self._state = state
         self._estimates = estimates
         self.found: list[tuple[str, tuple[str, str], float | None]] = []
@@ -137,10 +137,10 @@ class _PlannedTables(EpisodeTables):
         *,
         modules: Sequence[str],
         inputs: dict[str, str],
-        params: object,
+        params: str,
         make: Callable[[], object],
     ) -> bool:
-        version, text = code_version(*modules), canonical_json(params)
+        version, text = code_version(*modules), params
         record = self.store.find(stage, inputs, text, version)
         if record is not None:
             self.contents |= record.outputs
@@ -181,6 +181,8 @@ class _DatasetWalk:
         self.name = self.opened.dataset.name
         self.estimates = Estimates(self.store.timings)
         self.rows: list[dict[str, object]] = []
+        self.index = self.store.index()
+        self.seen = SeenLogs(self.store)
         everything = self.store.manifest.episodes()
         self.states = {s.episode_id: s for s in everything if s.dataset == self.name}
         self.described = {e.id: e for e in self.known.dataset.episodes}
@@ -205,6 +207,8 @@ class _DatasetWalk:
     def _episode(self, job: IngestJob) -> tuple[IngestJob, EpisodeState | None]:
         """How an episode would be ingested, and what would be known of it then; None if nothing would."""
         old = self.states.get(job.episode.id)
+        if old is not None and stands(job, old, self.seen, self.index):
+            return job, old
         job = _without_log(self.store, job, old)
         tables = _PlannedTables(self.store, old, self.estimates)
         try:
@@ -255,15 +259,16 @@ class _DatasetWalk:
             return assumed
         results = []
         jobs = {e.id: e for e in self.opened.dataset.episodes}
-        entities = entity_types(self.opened)
+        recipe = recipe_of(self.opened)
         for state in assumed:
             by = chosen.get(state.episode_id)
-            if by is None:
+            if by is None or recipe.standing(state, by, self.index) == state:
                 results.append(state)
                 continue
             old = self.states.get(state.episode_id)
             tables = _PlannedTables(self.store, old, self.estimates)
-            segment_stages(entities, self.opened.vocabulary.types, state, by, tables)
+            segment_stage(state, by, tables, recipe)
+            contrast_stage(tables, recipe)
             for stage, reason, cost_s in tables.found:
                 told = reason
                 if stage == "segment" and state.episode_id in pending and reason[0] == "input":
