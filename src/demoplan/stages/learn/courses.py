@@ -101,7 +101,8 @@ def read_courses(
     own_track, own_atom = np.divmod(seen, n_atoms)
     predicate, arguments = data.atom_predicate[own_atom], data.atom_arguments[own_atom]
     n = len(seen)
-    n_true = np.zeros((n, n_times))
+    # Columns lie together: whatever goes along courses takes one time of all of them at once.
+    n_true = np.zeros((n, n_times), order="F")
     row = np.searchsorted(seen, track[owner] * n_atoms + atom)
     np.add.at(n_true, (row, time[owner]), weight[owner])
     n_read = np.zeros((len(chosen), n_times))
@@ -116,8 +117,9 @@ def read_courses(
         own_atom = np.r_[own_atom, np.full(len(more[0]), NOBODY)]
         pad = ((0, len(more[0])), (0, 0))
         n_true, is_unknown = np.pad(n_true, pad), np.pad(is_unknown, pad)
+    n_true, is_unknown = np.asfortranarray(n_true), np.asfortranarray(is_unknown)
     n_true[is_unknown] = 0.0
-    n_false = np.where(is_unknown, 0.0, n_read[own_track] - n_true)
+    n_false = np.asfortranarray(np.where(is_unknown, 0.0, n_read[own_track] - n_true))
     return Courses(
         track=own_track,
         predicate=predicate,
@@ -217,7 +219,7 @@ def _kinds(
     held_before = np.where(
         np.r_[True, data.sequence[1:] != data.sequence[:-1]], NOBODY, np.roll(data.in_hand, 1)
     )
-    kinds = np.full((len(track), n_steps), -1, dtype=np.int64)
+    kinds = np.full((len(track), n_steps), -1, dtype=np.int64, order="F")
     for step in range(n_steps):
         inside = np.flatnonzero(length[track] > step)
         row = tracks.first[chosen][track[inside]] + step

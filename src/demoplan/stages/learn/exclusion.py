@@ -18,9 +18,9 @@ from math import lgamma, log, log1p
 import numpy as np
 from numpy.typing import NDArray
 
-from demoplan.stages.learn.courses import Courses, Floats, Tracks
+from demoplan.stages.learn.courses import Courses, Tracks
 from demoplan.stages.learn.encode import Encoded, Ints
-from demoplan.stages.learn.misreadings import MendParams, Rates, Smoothed, smooth
+from demoplan.stages.learn.misreadings import MendParams, Rates, Smoothed, read_log_odds, smooth
 
 _SLIP = 0.005
 """Rate at which states may break a group that is one."""
@@ -171,16 +171,21 @@ def smooth_exclusively(
     rates: Rates,
     exclusions: tuple[Exclusion, ...],
     params: MendParams,
-) -> tuple[Smoothed, Floats]:
-    """Courses smoothed with the groups' say, and that say itself as log odds, shape (c, t + 1).
+) -> Smoothed:
+    """Courses smoothed with the groups' say.
 
     Each atom is told by its groups how likely the other members are, and is smoothed again: belief
     propagation on a graph with loops, a few rounds of it.
     """
     told = np.zeros_like(courses.n_true)
-    believed = smooth(courses, rates)
+    own, start, steps = (
+        read_log_odds(courses, rates),
+        rates.at_first[courses.predicate],
+        rates.step(courses.kind),
+    )
+    believed = smooth(own, start, steps, is_counted=False)
     spots = list(_spots(data, tracks, chosen, courses, exclusions))
-    messages = [np.zeros((len(rows), told.shape[1])) for rows, _, _ in spots]
+    messages = [np.zeros((len(rows), told.shape[1]), order="F") for rows, _, _ in spots]
     for _ in range(params.n_exclusion_rounds if spots else 0):
         for number, (rows, key, group) in enumerate(spots):
             cavity = np.exp(np.clip(believed.log_odds[rows] - messages[number], -30, 30))
@@ -190,8 +195,8 @@ def smooth_exclusively(
             message = np.log1p(_SLIP * others) - np.log(group.weight_none + others)
             told[rows] += 0.5 * (message - messages[number])
             messages[number] += 0.5 * (message - messages[number])
-        believed = smooth(courses, rates, told)
-    return believed, told
+        believed = smooth(own + told, start, steps, is_counted=False)
+    return believed
 
 
 def _spots(

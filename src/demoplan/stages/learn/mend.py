@@ -16,7 +16,7 @@ from demoplan.language.types import TypeHierarchy
 from demoplan.stages.learn.courses import Courses, Floats, Tracks, read_courses
 from demoplan.stages.learn.encode import NOBODY, Encoded, Ints, States
 from demoplan.stages.learn.exclusion import Exclusion, find_exclusions, smooth_exclusively
-from demoplan.stages.learn.misreadings import MendParams, Rates, Smoothed, estimate, smooth
+from demoplan.stages.learn.misreadings import MendParams, Rates, Smoothed, estimate, smooth_readings
 
 
 @dataclass(frozen=True)
@@ -52,18 +52,18 @@ def mend(data: Encoded, types: TypeHierarchy, params: MendParams = MendParams())
         empty = Rates(nothing, nothing, nothing, np.empty(0, np.int64), np.zeros(1), np.zeros(1))
         return Mended(data, empty, False, nothing, nothing, nothing, ())
     rates = estimate(courses, n_predicates, params)
-    believed = smooth(courses, rates)
+    believed = smooth_readings(courses, rates)
     for _ in range(2 if rates.overall >= params.needed_rate else 1):
         # What the clearest groups put right shows the others.
         exclusions = find_exclusions(data, tracks, sample, courses, believed, params)
-        believed, _ = smooth_exclusively(data, tracks, sample, courses, rates, exclusions, params)
+        believed = smooth_exclusively(data, tracks, sample, courses, rates, exclusions, params)
     result = Mended(data, rates, rates.overall >= params.needed_rate, nothing, nothing, nothing, exclusions)
     if not result.is_needed:
         return result
     changes = _Changes(n_predicates)
     for chosen in tracks.chunks(params.steps_per_chunk, courses.n / max(len(sample), 1)):
         own = read_courses(data, tracks, chosen, types, is_complete=False)
-        believed, _ = smooth_exclusively(data, tracks, chosen, own, rates, exclusions, params)
+        believed = smooth_exclusively(data, tracks, chosen, own, rates, exclusions, params)
         changes.add(own, believed, tracks, chosen)
     return replace(
         result,

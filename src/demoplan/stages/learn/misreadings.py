@@ -42,7 +42,7 @@ class MendParams:
     """Rounds of estimation."""
     n_exclusion_rounds: int = 3
     """Rounds of telling the members of a group that only one of them holds."""
-    max_sample_steps: int = 3_000_000
+    max_sample_steps: int = 400_000
     """Steps of courses that rates are estimated from: bounds time and memory."""
     steps_per_chunk: int = 2_000_000
     """Steps of courses that are mended at once: bounds memory."""
@@ -99,22 +99,29 @@ class Smoothed:
         return np.asarray(1 / (1 + np.exp(-np.clip(self.log_odds, -500, 500))))
 
 
-def smooth(courses: Courses, rates: Rates, told: Floats | float = 0.0) -> Smoothed:
-    """Forward and backward along every course at once.
-
-    Args:
-        courses: What was read.
-        rates: How far to trust it.
-        told: Log odds from elsewhere at each time, shape (c, t + 1).
-    """
+def read_log_odds(courses: Courses, rates: Rates) -> Floats:
+    """What the readings alone say at each time, shape (c, t + 1)."""
     missed, imagined = rates.missed[courses.predicate], rates.imagined[courses.predicate]
     log_ratio = courses.n_true * np.log((1 - missed) / imagined)[:, None]
     log_ratio += courses.n_false * np.log(missed / (1 - imagined))[:, None]
-    ratio = np.exp(np.clip(log_ratio + told, -60, 60))
-    begins, ends = rates.step(courses.kind)
+    return np.asarray(log_ratio)
+
+
+def smooth(
+    log_ratio: Floats, start: Floats, steps: tuple[Floats, Floats], *, is_counted: bool = True
+) -> Smoothed:
+    """Forward and backward along every course at once.
+
+    Args:
+        log_ratio: Log odds of holding that readings and others tell at each time, shape (c, t + 1).
+        start: Probability of holding at the first tick, before anything is read; shape (c,).
+        steps: Rates at which each step begins and ends an atom; shapes (c, t).
+        is_counted: Whether to say also how likely each step changed something; they are empty otherwise.
+    """
+    ratio = np.exp(np.clip(log_ratio, -60, 60))
+    begins, ends = steps
     n_times = ratio.shape[1]
     held = np.empty_like(ratio)
-    start = rates.at_first[courses.predicate]
     held[:, 0] = start * ratio[:, 0] / (start * ratio[:, 0] + 1 - start)
     for time in range(1, n_times):
         before = held[:, time - 1]
@@ -123,19 +130,27 @@ def smooth(courses: Courses, rates: Rates, told: Floats | float = 0.0) -> Smooth
     held = np.clip(held, _TINY, 1 - _TINY)
     future = np.ones(len(ratio))
     log_odds = np.log(held / (1 - held))
-    began, ended, was_true = (np.empty((len(ratio), n_times - 1)) for _ in range(3))
+    n_counted = n_times - 1 if is_counted else 0
+    began, ended, was_true = (np.empty((len(ratio), n_counted), order="F") for _ in range(3))
     for time in range(n_times - 1, 0, -1):
         ahead = ratio[:, time] * future
         begin, end, before = begins[:, time - 1], ends[:, time - 1], held[:, time - 1]
-        stays, leaves = before * (1 - end) * ahead, before * end
-        enters, without = (1 - before) * begin * ahead, (1 - before) * (1 - begin)
-        total = stays + leaves + enters + without
-        began[:, time - 1], ended[:, time - 1] = enters / total, leaves / total
-        was_true[:, time - 1] = (stays + leaves) / total
+        if is_counted:
+            stays, leaves = before * (1 - end) * ahead, before * end
+            enters, without = (1 - before) * begin * ahead, (1 - before) * (1 - begin)
+            total = stays + leaves + enters + without
+            began[:, time - 1], ended[:, time - 1] = enters / total, leaves / total
+            was_true[:, time - 1] = (stays + leaves) / total
         future = ((1 - end) * ahead + end) / (begin * ahead + 1 - begin)
         future = np.clip(future, _TINY, 1 / _TINY)
         log_odds[:, time - 1] += np.log(future)
     return Smoothed(log_odds, began, ended, was_true)
+
+
+def smooth_readings(courses: Courses, rates: Rates) -> Smoothed:
+    """Courses smoothed by what was read of each of them alone."""
+    start = rates.at_first[courses.predicate]
+    return smooth(read_log_odds(courses, rates), start, rates.step(courses.kind))
 
 
 def estimate(courses: Courses, n_predicates: int, params: MendParams) -> Rates:
@@ -144,7 +159,7 @@ def estimate(courses: Courses, n_predicates: int, params: MendParams) -> Rates:
     place = np.searchsorted(rates.kinds, courses.kind)
     inside = courses.kind >= 0
     for _ in range(params.n_rounds):
-        rates = _maximised(courses, smooth(courses, rates), rates, place, inside, params)
+        rates = _maximised(courses, smooth_readings(courses, rates), rates, place, inside, params)
     return rates
 
 
