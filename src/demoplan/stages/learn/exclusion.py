@@ -111,7 +111,6 @@ def _measured(
     shape = (len(names), is_true.shape[1])
     is_state, is_new = np.zeros(shape, dtype=bool), np.zeros(shape, dtype=bool)
     is_state[key] = within
-    # States of one course resemble each other: only what differs from the state before it speaks.
     changes = np.c_[np.ones(len(key), dtype=bool), is_true[:, 1:] != is_true[:, :-1]] & within
     np.logical_or.at(is_new, key, changes)
     counts = []
@@ -124,8 +123,7 @@ def _measured(
     if not all(count.any() for count in counts):
         return None
     total = np.sum(counts, axis=0)
-    is_broken = total > 1
-    none, one, many = int((total == 0).sum()), int((total == 1).sum()), int(is_broken.sum())
+    none, one, many = int((total == 0).sum()), int((total == 1).sum()), int((total > 1).sum())
     if len(members) == 1:
         n_members = len(owner) / len(names)
         rate = min(float(total.mean()) / n_members, 1 - 1e-9)
@@ -135,7 +133,8 @@ def _measured(
         shares = [float((count > 0).mean()) for count in counts]
         chance, no_atom = shares[0] * shares[1], (1 - shares[0]) * (1 - shares[1])
     chance = min(max(chance, 1e-9), 1 - 1e-9)
-    n, k = int(is_new.sum()), int((is_broken & is_new[is_state]).sum())
+    # States of one course resemble each other: there are as many independent ones as changes.
+    n, k = int(is_new.sum()), many / n_states * int(is_new.sum())
     exclusive = _log_beta_binomial(k, n - k)
     independent = k * log(chance) + (n - k) * log1p(-chance)
     shown = (none + 0.5) / (n_states - none + 0.5)

@@ -245,7 +245,7 @@ def _contradictions(draft: Draft, pattern: Pattern, variables: Sequence[str]) ->
         ("effect", AFTER, draft.effects),
     ):
         for each in candidates:
-            is_known = each.atom in pattern.true[side] or each.atom not in pattern.unknown[side]
+            is_known = each.atom not in pattern.unknown[side]
             if each.is_kept and is_known and (each.atom in pattern.true[side]) != each.is_positive:
                 against.append(f"{role} {_text(each, variables)}")
     return sorted(against)

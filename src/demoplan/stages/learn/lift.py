@@ -28,7 +28,11 @@ class LiftedAtom:
 
 @dataclass(frozen=True)
 class Pattern:
-    """A distinct lifted transition. What is in neither set of a side was observed false."""
+    """A distinct lifted transition.
+
+    What is in neither set of a side was observed false; what is in both is likely true, and counts for no
+    literal.
+    """
 
     activity: str
     is_first: bool

@@ -60,14 +60,18 @@ def mend(data: Encoded, types: TypeHierarchy, params: MendParams = MendParams())
     result = Mended(data, rates, rates.overall >= params.needed_rate, nothing, nothing, nothing, exclusions)
     if not result.is_needed:
         return result
-    changes = _Changes(n_predicates)
+    changes = _Changes(n_predicates, float(np.log(params.sure / (1 - params.sure))))
     for chosen in tracks.chunks(params.steps_per_chunk, courses.n / max(len(sample), 1)):
         own = read_courses(data, tracks, chosen, types, is_complete=False)
         believed = smooth_exclusively(data, tracks, chosen, own, rates, exclusions, params)
         changes.add(own, believed, tracks, chosen)
     return replace(
         result,
-        data=replace(data, true=changes.states(data, tracks)),
+        data=replace(
+            data,
+            true=changes.states(data, tracks),
+            unknown=_joined(data.unknown, changes.doubts(data, tracks)),
+        ),
         n_read=changes.n_read,
         n_to_true=changes.n_to_true,
         n_to_false=changes.n_to_false,
@@ -99,9 +103,11 @@ def _sample(data: Encoded, tracks: Tracks, types: TypeHierarchy, params: MendPar
 class _Changes:
     """Collects mended courses; then makes states of them."""
 
-    def __init__(self, n_predicates: int) -> None:
+    def __init__(self, n_predicates: int, sure_log_odds: float) -> None:
+        self._sure_log_odds = sure_log_odds
         self.n_read, self.n_to_true, self.n_to_false = (np.zeros(n_predicates) for _ in range(3))
         self._held: list[tuple[Ints, Ints, Ints]] = []
+        self._doubted: list[tuple[Ints, Ints, Ints]] = []
 
     def add(self, courses: Courses, believed: Smoothed, tracks: Tracks, chosen: Ints) -> None:
         length = tracks.length[chosen][courses.track]
@@ -116,19 +122,45 @@ class _Changes:
         self.n_read += counted(is_read)
         self.n_to_true += counted(is_true & ~was_true & is_read)
         self.n_to_false += counted(~is_true & was_true & is_read)
-        course, time = np.nonzero(is_true & (np.arange(is_true.shape[1]) <= length[:, None]))
-        keep = courses.atom[course] != NOBODY
-        course, time = course[keep], time[keep]
-        self._held.append((chosen[courses.track[course]], time.astype(np.int64), courses.atom[course]))
+        within = np.arange(is_true.shape[1]) <= length[:, None]
+        self._held.append(_cells(courses, chosen, is_true & within))
+        is_doubted = (np.abs(believed.log_odds) < self._sure_log_odds) & is_read & within
+        self._doubted.append(_cells(courses, chosen, is_doubted))
 
     def states(self, data: Encoded, tracks: Tracks) -> States:
-        """Every time's atoms, given to the state that ends a row and to the one that begins the next."""
-        track, time, atom = (np.concatenate([each[place] for each in self._held]) for place in range(3))
-        row = tracks.first[track] + time
-        after = np.flatnonzero(time > 0)
-        before = np.flatnonzero(time < tracks.length[track])
-        state = np.r_[2 * (row[after] - 1) + 1, 2 * row[before]]
-        codes = np.r_[atom[after], atom[before]]
-        order = np.lexsort((codes, state))
-        counts = np.bincount(state, minlength=2 * data.n)
-        return States(np.r_[np.zeros(1, dtype=np.int64), np.cumsum(counts)], codes[order])
+        """The atoms that are likelier true than not."""
+        return _as_states(self._held, data, tracks)
+
+    def doubts(self, data: Encoded, tracks: Tracks) -> States:
+        """The atoms of which neither is sure."""
+        return _as_states(self._doubted, data, tracks)
+
+
+def _cells(courses: Courses, chosen: Ints, is_chosen: NDArray[np.bool_]) -> tuple[Ints, Ints, Ints]:
+    """Track, time and atom of the chosen cells of courses."""
+    course, time = np.nonzero(is_chosen)
+    has_atom = courses.atom[course] != NOBODY
+    course, time = course[has_atom], time[has_atom]
+    return chosen[courses.track[course]], time.astype(np.int64), courses.atom[course]
+
+
+def _as_states(cells: list[tuple[Ints, Ints, Ints]], data: Encoded, tracks: Tracks) -> States:
+    """Every time's atoms, given to the state that ends a row and to the one that begins the next."""
+    track, time, atom = (np.concatenate([each[place] for each in cells]) for place in range(3))
+    row = tracks.first[track] + time
+    after = np.flatnonzero(time > 0)
+    before = np.flatnonzero(time < tracks.length[track])
+    return _states(np.r_[2 * (row[after] - 1) + 1, 2 * row[before]], np.r_[atom[after], atom[before]], data.n)
+
+
+def _joined(one: States, other: States) -> States:
+    n = len(one.offsets) - 1
+    every = np.arange(n)
+    first, second = one.gather(every), other.gather(every)
+    return _states(np.r_[first[0], second[0]], np.r_[first[1], second[1]], n // 2)
+
+
+def _states(state: Ints, atom: Ints, n: int) -> States:
+    order = np.lexsort((atom, state))
+    counts = np.bincount(state, minlength=2 * n)
+    return States(np.r_[np.zeros(1, dtype=np.int64), np.cumsum(counts)], atom[order])

@@ -267,10 +267,7 @@ def _cells(atom: LiftedAtom, members: Sequence[Pattern]) -> Cells:
     cells: Cells = Counter()
     for pattern in members:
         value = tuple(
-            None
-            if atom in pattern.unknown[side] and atom not in pattern.true[side]
-            else atom in pattern.true[side]
-            for side in (BEFORE, AFTER)
+            None if atom in pattern.unknown[side] else atom in pattern.true[side] for side in (BEFORE, AFTER)
         )
         cells[value[0], value[1]] += pattern.count
     return cells

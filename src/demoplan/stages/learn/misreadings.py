@@ -38,6 +38,9 @@ class MendParams:
     """Steps' worth of that belief."""
     usual_change: float = 0.3
     """Rate of read changes from which estimation starts by believing in them."""
+    sure: float = 0.9
+    """An atom that is neither true nor false with this probability counts as unobserved for literals; what a
+    hand holds and what an object rests on is read from what is likelier."""
     n_rounds: int = 12
     """Rounds of estimation."""
     n_exclusion_rounds: int = 3

@@ -77,9 +77,9 @@ def _is_apart(draft: Draft, added: Sequence[Candidate], pair: tuple[int, int]) -
 
 def _negation(atom: LiftedAtom, draft: Draft, patterns: Sequence[Pattern], params: LearnParams) -> Candidate:
     members = [patterns[position] for position in draft.patterns]
-    against = sum(each.count for each in members if atom in each.true[BEFORE])
-    unseen = sum(
-        each.count for each in members if atom in each.unknown[BEFORE] and atom not in each.true[BEFORE]
+    unseen = sum(each.count for each in members if atom in each.unknown[BEFORE])
+    against = sum(
+        each.count for each in members if atom in each.true[BEFORE] and atom not in each.unknown[BEFORE]
     )
     support = draft.count - against - unseen
     return Candidate(
