@@ -63,7 +63,7 @@ def test_every_problem_of_a_file_is_listed():
 
 def test_a_repeated_episode_id_is_refused():
     text = GOOD.replace("splits:", "  - {id: one, file: b.mcap, participant: p1, task: stack}\nsplits:")
-    with pytest.raises(ManifestError, match="used 2 times"):
+    with pytest.raises(ManifestError, match="used twice"):
         parse_dataset(text, "dataset.yaml")
 
 

@@ -32,8 +32,9 @@ def test_it_is_the_twelve_of_cube_stacking_and_three_more_of_the_same_people():
 def test_what_is_learned_from_it_executes_every_goal_beyond_the_study(tmp_path):
     pytest.importorskip("up_fast_downward")
     pytest.importorskip("mujoco")
+    from demoplan.manifests.goals import read_goals
     from demoplan.pipeline.datasets import open_dataset
-    from demoplan.pipeline.evaluate import evaluate, jobs_of, read_goals
+    from demoplan.pipeline.evaluate import evaluate, jobs_of
     from demoplan.pipeline.run import run
     from demoplan.store import Store
 

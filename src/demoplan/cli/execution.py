@@ -20,7 +20,7 @@ from demoplan.store import Store
 
 if TYPE_CHECKING:
     from demoplan.language.vocabulary import Vocabulary
-    from demoplan.pipeline.faults import AnyFault
+    from demoplan.manifests.faults import AnyFault
 
 RobotOption = Annotated[str, typer.Option("--robot", help="gripper, gripper_dual, tiago, tiago_dual.")]
 MonitorOption = Annotated[
@@ -79,10 +79,11 @@ def execute(
     """Plan, and let a simulated robot do it, watched and replanned. Exit code 1 if the goal is missed."""
     from demoplan.engines.mujoco.scene_spec import read_scene
     from demoplan.engines.mujoco.session import open_session
-    from demoplan.pipeline.evaluate import GoalCase, scene_of
+    from demoplan.manifests.faults import read_faults
+    from demoplan.manifests.goals import GoalCase
+    from demoplan.pipeline.evaluate import scene_of
     from demoplan.pipeline.execute import ExecuteParams
     from demoplan.pipeline.execute import execute as run_plan
-    from demoplan.pipeline.faults import read_faults
     from demoplan.pipeline.learning import stored_domain
 
     monitors = _checked(monitor or ("full",), robot)
@@ -134,7 +135,7 @@ def execute(
     if view is not None:
         from demoplan.pipeline.run_views import record_run
 
-        record_run(done.frames, done.steps, spec, vocabulary, view)
+        record_run(done.run, done.steps, done.frames, spec, vocabulary, view)
         say(f"recording written to {view}")
     raise typer.Exit(int(Exit.FINE if row["is_goal_reached"] else Exit.FAILED))
 
@@ -162,9 +163,10 @@ def evaluate(
     as_json: JsonOption = False,
 ) -> None:
     """Execute every domain × goal × seed × fault × monitor; what was run before is not run again."""
+    from demoplan.manifests.faults import read_faults
+    from demoplan.manifests.goals import read_goals
     from demoplan.pipeline.evaluate import evaluate as run_all
-    from demoplan.pipeline.evaluate import jobs_of, read_goals
-    from demoplan.pipeline.faults import read_faults
+    from demoplan.pipeline.evaluate import jobs_of
     from demoplan.stages.score_runs import fault_confusion, score_runs
 
     monitors = _checked(monitor or ("full",), robot)
@@ -223,7 +225,7 @@ def _domains(store: Store, asked: Sequence[str]) -> list[tuple[str, str, str]]:
     for text in asked:
         matching = [name for name in names if fnmatchcase(name, text)] if set(text) & set("*?[") else [text]
         if not matching:
-            raise UnknownNameError("domain", text, names, f"store {store.root}")
+            raise UnknownNameError("domain", text, names, f"store {store.location}")
         for name in matching:
             learned = stored_domain(store, name)
             version = learned.version

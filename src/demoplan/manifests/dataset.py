@@ -1,6 +1,5 @@
 """A dataset: its episodes, and what is known of each."""
 
-from collections import Counter
 from pathlib import Path, PurePosixPath
 from typing import Annotated
 
@@ -74,10 +73,10 @@ def parse_dataset(text: str, path: Path | str) -> Dataset:
         path: Where it comes from, for messages.
 
     Raises:
-        ManifestError: If its form is wrong, an episode id is used twice, a path leaves the root, a topic
-            feeds an entity that is not listed, or a split names an episode that does not exist.
+        ManifestError: If its form is wrong, an episode's id or a goal's name is used twice, a path leaves the
+            root, a topic feeds an entity that is not listed, or a split names an episode that does not exist.
     """
-    dataset = load_yaml(text, path, Dataset)
+    dataset = load_yaml(text, path, Dataset, unique={"episodes": "id", "goals": "name"})
     lines = text.splitlines()
 
     def refuse(problem: str, word: str) -> ManifestError:
@@ -85,9 +84,6 @@ def parse_dataset(text: str, path: Path | str) -> Dataset:
         return ManifestError(path, line, problem)
 
     ids = [episode.id for episode in dataset.episodes]
-    for name, count in Counter(ids).items():
-        if count > 1:
-            raise refuse(f"episode id {name!r} is used {count} times", name)
     for episode in dataset.episodes:
         for file in filter(None, (episode.file, episode.labels)):
             if PurePosixPath(file).is_absolute() or ".." in PurePosixPath(file).parts or "\\" in file:

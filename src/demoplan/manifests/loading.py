@@ -1,6 +1,6 @@
 """YAML text to a validated value, with errors that name the line."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -17,17 +17,18 @@ _MOST_NODES = 1_000_000
 """A file that unfolds into more values than this is refused: aliases can multiply without end."""
 
 
-def load_yaml(text: str, path: Path | str, model: type[Model]) -> Model:
+def load_yaml(text: str, path: Path | str, model: type[Model], *, unique: Mapping[str, str] = {}) -> Model:
     """The value that a YAML text describes.
 
     Args:
         text: The file's content; plain YAML 1.2, tags that name types of a language are not followed.
         path: Where the text comes from, for messages.
         model: What it must be.
+        unique: List of the text → key that tells its entries apart: no two may have the same there.
 
     Raises:
         ManifestError: If the text is not YAML, or breaks the model's contract; every problem is listed, the
-            first with its line.
+            first with its line. Or if two entries of a list go by one name; with the line of the second.
     """
     yaml = YAML(typ="rt", pure=True)
     yaml.allow_duplicate_keys = False
@@ -46,7 +47,7 @@ def load_yaml(text: str, path: Path | str, model: type[Model]) -> Model:
     except RecursionError:
         raise ManifestError(path, None, "refused: nested too deeply") from None
     try:
-        return model.model_validate(plain)
+        value = model.model_validate(plain)
     except ValidationError as error:
         problems = [(_line_of(tree, found["loc"]), _sentence(found, model)) for found in error.errors()]
         problems.sort(key=lambda problem: (problem[0] is None, problem[0] or 0))
@@ -54,6 +55,23 @@ def load_yaml(text: str, path: Path | str, model: type[Model]) -> Model:
         rest = [f"\n  line {line}: {text}" if line else f"\n  {text}" for line, text in problems[1:10]]
         more = f"\n  … and {len(problems) - 10} more" if len(problems) > 10 else ""
         raise ManifestError(path, first_line, first + "".join(rest) + more) from None
+    for listed, key in unique.items():
+        _refuse_repeats(tree, path, listed, key)
+    return value
+
+
+def _refuse_repeats(tree: Any, path: Path | str, listed: str, key: str) -> None:
+    first: dict[str, int] = {}
+    for number, entry in enumerate(tree.get(listed) or ()):
+        name = str(entry[key])
+        if name in first:
+            raise ManifestError(
+                path,
+                _line_of(tree, (listed, number, key)),
+                f"{listed}: {key} {name!r} is used twice; first on line "
+                f"{_line_of(tree, (listed, first[name], key))}",
+            )
+        first[name] = number
 
 
 def _plain(node: Any, budget: list[int]) -> Any:

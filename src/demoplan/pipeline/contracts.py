@@ -3,8 +3,12 @@
 import json
 from pathlib import Path
 
+from pydantic import BaseModel
+
 from demoplan import tables
 from demoplan.manifests.dataset import Dataset
+from demoplan.manifests.faults import FaultsFile
+from demoplan.manifests.goals import GoalsFile
 from demoplan.manifests.mapping import Mapping
 from demoplan.manifests.vocabulary import VocabularyFile
 from demoplan.tables.contracts import contract
@@ -13,7 +17,14 @@ from demoplan.tables.contracts import contract
 def contracts() -> dict[str, str]:
     """File name below ``schemas/`` → content, of every contract that is written from code."""
     files = {f"tables/{name.lower()}.json": _json(contract(getattr(tables, name))) for name in tables.__all__}
-    for name, model in (("dataset", Dataset), ("mapping", Mapping), ("vocabulary", VocabularyFile)):
+    models: dict[str, type[BaseModel]] = {
+        "dataset": Dataset,
+        "faults": FaultsFile,
+        "goals": GoalsFile,
+        "mapping": Mapping,
+        "vocabulary": VocabularyFile,
+    }
+    for name, model in models.items():
         files[f"{name}.schema.json"] = _json(model.model_json_schema())
     return files
 

@@ -1,30 +1,26 @@
 """Domains × goals × seeds × faults × monitors, executed on all cores: resumable, a row per run and step."""
 
-import multiprocessing
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
 import dataframely as dy
 import polars as pl
-from pydantic import Field
 
 from demoplan.engines.mujoco.scene_spec import RandomSceneParams, SceneSpec, random_scene, read_scene
-from demoplan.errors import DemoplanError, ManifestError, UsageError
+from demoplan.errors import DemoplanError, UsageError
 from demoplan.ids import content_hash
 from demoplan.language.pddl import domain_id, parse_domain
 from demoplan.language.vocabulary import Vocabulary
-from demoplan.manifests.dataset import SafeName
-from demoplan.manifests.loading import load_yaml
-from demoplan.manifests.mapping import Strict
+from demoplan.manifests.faults import AnyFault
+from demoplan.manifests.goals import GoalCase
+from demoplan.pipeline.batch import run_batch
 from demoplan.pipeline.execute import ExecuteParams, execute, run_rows, step_rows
-from demoplan.pipeline.faults import AnyFault
+from demoplan.pipeline.recoverability import Recoverability, recoverability
 from demoplan.store import Store
 from demoplan.store.code_version import code_version
 from demoplan.store.store import StageOutput, canonical_json
-from demoplan.tables import Executions, Frames, Runs
+from demoplan.tables import Executions, FaultCases, Frames, Runs
 
 CODE = (
     "demoplan.pipeline.executing",
@@ -34,6 +30,7 @@ CODE = (
     "demoplan.pipeline.senses",
     "demoplan.pipeline.faults",
     "demoplan.pipeline.injecting",
+    "demoplan.pipeline.recoverability",
     "demoplan.stages.monitor",
     "demoplan.stages.diagnose",
     "demoplan.stages.perceive",
@@ -43,58 +40,15 @@ CODE = (
 )
 """What a run's outcome depends on, beside its inputs: a change of any of these runs it anew."""
 
-
-class GoalCase(Strict):
-    """A goal, and the kind of scene that it is tried in."""
-
-    name: SafeName
-    goal: str
-    """Goal text, as ``onTop(cube_red,cube_blue) & onTop(cube_blue,cube_green)``."""
-    cubes: tuple[str, ...] = ("cube_red", "cube_blue", "cube_green", "cube_yellow")
-    """Cubes at places drawn from the seed."""
-    stacked: tuple[tuple[str, str], ...] = ()
-    """(cube, cube below it) pairs that hold at the start."""
-    edges_m: tuple[float, ...] = Field(default=(0.05,), min_length=1)
-    """Edges of cubes; one is drawn for each."""
-    scene: str | None = None
-    """A scene's file, relative to this one, in place of a drawn scene."""
-
-
-class GoalsFile(Strict):
-    """The form of a goals file."""
-
-    goals: tuple[GoalCase, ...]
-
-
-def parse_goals(text: str, path: Path | str) -> tuple[GoalCase, ...]:
-    """The goals that a file describes.
-
-    Raises:
-        ManifestError: If its form is wrong, or a name is used twice; with the line.
-    """
-    goals = load_yaml(text, path, GoalsFile).goals
-    names: set[str] = set()
-    for goal in goals:
-        if goal.name in names:
-            lines = [n for n, line in enumerate(text.splitlines(), 1) if goal.name in line]
-            raise ManifestError(path, lines[-1] if lines else None, f"goal {goal.name!r} is named twice")
-        names.add(goal.name)
-    return goals
-
-
-def read_goals(path: Path) -> tuple[GoalCase, ...]:
-    """The goals that a file describes; see :func:`parse_goals`."""
-    try:
-        return parse_goals(path.read_text(encoding="utf-8"), path)
-    except (OSError, UnicodeDecodeError) as error:
-        raise UsageError(f"{path}: cannot be read: {error}") from None
+RUN_STAGE, CASE_STAGE = "execute", "fault-case"
+"""Names of the store's records."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class RunJob:
     """All that a process needs to make one run. Domains travel as text: that is what their id stands for."""
 
-    store_root: Path
+    store: str
     domain_text: str
     domain_name: str
     goal: GoalCase
@@ -200,7 +154,7 @@ def jobs_of(
     """
     return [
         RunJob(
-            store_root=store.root,
+            store=store.location,
             domain_text=text,
             domain_name=name,
             goal=goal,
@@ -254,10 +208,42 @@ def run_job(job: RunJob) -> str:
         }
         if job.is_recorded:
             tables["frames"] = (done.frames, Frames)
-        return StageOutput(tables=tables)
+        # Without its scene, a stored run could not be drawn.
+        return StageOutput(tables=tables, notes={"scene": job.scene.model_dump_json()})
 
-    inputs, params, code = job.key()
-    return str(Store(job.store_root).run("execute", inputs, params, code, make).key)
+    return str(Store(job.store).run(RUN_STAGE, *job.key(), make).key)
+
+
+def case_of(job: RunJob) -> RunJob:
+    """The job that decides, for all monitors, whether anybody could recover from the job's fault."""
+    return replace(job, params=replace(job.params, monitor="none"), is_recorded=False)
+
+
+def decide_case(job: RunJob) -> str:
+    """Decide whether anybody could recover from the fault of a case, and keep it; give back its key."""
+    from demoplan.engines.mujoco.session import open_session  # noqa: PLC0415 - a heavy import, once a process
+
+    fault = job.fault
+    assert fault is not None
+
+    def make() -> StageOutput:
+        try:
+            decided = recoverability(
+                parse_domain(job.domain_text),
+                job.goal.goal,
+                open_session(job.scene, job.robot, seed=job.seed),
+                job.vocabulary,
+                fault,
+                seed=job.seed,
+                params=job.params,
+            )
+        except DemoplanError as error:
+            decided = Recoverability(False, None, f"{type(error).__name__}: {error}")
+        schema = {name: column.dtype for name, column in FaultCases.columns().items()}
+        row = pl.DataFrame([{"case_id": job.run_id, **asdict(decided)}], schema=schema)
+        return StageOutput(tables={"cases": (FaultCases.validate(row), FaultCases)})
+
+    return str(Store(job.store).run(CASE_STAGE, *job.key(), make).key)
 
 
 def not_started(job: RunJob, domain: str, reason: str) -> dy.DataFrame[Runs]:
@@ -279,8 +265,9 @@ def not_started(job: RunJob, domain: str, reason: str) -> dy.DataFrame[Runs]:
                 "fault_kind": None if fault is None else fault.kind,
                 "fault_class": None if fault is None else CLASS_OF_KIND[fault.kind],
                 "severity": None if fault is None else fault.severity,
-                "is_recoverable": None if fault is None else fault.is_recoverable,
                 "is_fault_injected": False,
+                "fault_ns": None,
+                "is_recoverable": None,
                 "is_goal_reached": False,
                 "is_goal_sensed": False,
                 "outcome": "not_started",
@@ -310,20 +297,15 @@ def evaluate(
     """
     if not jobs:
         raise UsageError("nothing to run: give at least one domain, goal and seed")
-    store = Store(jobs[0].store_root)
-    waiting = []
-    for job in jobs:
-        inputs, params, code = job.key()
-        if store.is_current("execute", inputs, params, code):
-            on_done(_name(job))
-        else:
-            waiting.append(job)
-    lost: dict[str, str] = {}
-    for job, reason in _all_run(waiting, n_workers):
-        if reason is not None:
-            lost[job.run_id] = reason
-        on_done(_name(job))
-    records = [_record(store, job, lost.get(job.run_id)) for job in jobs]
+    store = Store(jobs[0].store)
+    cases = list({case.run_id: case for case in (case_of(job) for job in jobs if job.fault)}.values())
+    undecided = _make_all(store, CASE_STAGE, decide_case, cases, n_workers, lambda _: None)
+    decided = {case.run_id: _decided(store, case) for case in cases if case.run_id not in undecided}
+    lost = _make_all(store, RUN_STAGE, run_job, jobs, n_workers, on_done)
+    records = [
+        _record(store, job, lost.get(job.run_id), decided.get(case_of(job).run_id) if job.fault else None)
+        for job in jobs
+    ]
     order = ["domain_name", "goal", "fault", "monitor", "seed", "run_id"]
     runs = pl.concat([record.run for record in records]).unique("run_id").sort(order)
     steps = pl.concat([record.steps for record in records]).unique(Executions.primary_key())
@@ -334,65 +316,54 @@ def evaluate(
     )
 
 
+def _make_all(
+    store: Store,
+    stage: str,
+    make: Callable[[RunJob], str],
+    jobs: Sequence[RunJob],
+    n_workers: int,
+    on_done: Callable[[str], None],
+) -> dict[str, str]:
+    """Make what the store does not have; what was lost, by run id, and why."""
+    waiting = []
+    for job in jobs:
+        if store.is_current(stage, *job.key()):
+            on_done(_name(job))
+        else:
+            waiting.append(job)
+    lost = {}
+    for job, reason in run_batch(make, waiting, n_workers=n_workers):
+        if reason is not None:
+            lost[job.run_id] = reason
+        on_done(_name(job))
+    return lost
+
+
 def _name(job: RunJob) -> str:
     fault = f", {job.fault.name}" if job.fault is not None else ""
     return f"{job.domain_name}: {job.goal.name}{fault}, {job.params.monitor}, seed {job.seed}"
 
 
-def _record(store: Store, job: RunJob, lost: str | None) -> RunRecord:
+def _never() -> StageOutput:
+    raise AssertionError("it was made a moment ago")
+
+
+def _decided(store: Store, case: RunJob) -> bool | None:
+    record = store.run(CASE_STAGE, *case.key(), _never)
+    found: bool | None = store.get(record.outputs["cases"], FaultCases).item(0, "is_recoverable")
+    return found
+
+
+def _record(store: Store, job: RunJob, lost: str | None, is_recoverable: bool | None) -> RunRecord:
     if lost is not None:
         run = not_started(job, str(content_hash(job.domain_text)[:16]), lost)
         return RunRecord(job=job, run=run, steps=step_rows([]), frames=None)
-    inputs, params, code = job.key()
-
-    def never() -> StageOutput:
-        raise AssertionError("the run was made a moment ago")
-
-    record = store.run("execute", inputs, params, code, never)
+    record = store.run(RUN_STAGE, *job.key(), _never)
+    run = store.get(record.outputs["runs"], Runs)
+    decided = pl.lit(is_recoverable, dtype=pl.Boolean).alias("is_recoverable")
     return RunRecord(
         job=job,
-        run=store.get(record.outputs["runs"], Runs),
+        run=Runs.validate(run.with_columns(decided)),
         steps=store.get(record.outputs["executions"], Executions),
         frames=record.outputs.get("frames"),
     )
-
-
-def _all_run(jobs: Sequence[RunJob], n_workers: int) -> Iterator[tuple[RunJob, str | None]]:
-    """Each job when it has ended, with what killed it if something did."""
-    if n_workers <= 1 or len(jobs) <= 1:
-        for job in jobs:
-            run_job(job)
-            yield job, None
-        return
-    remaining = list(jobs)
-    while remaining:
-        done: set[int] = set()
-        # Spawned, not forked: polars hangs in a forked process that used it before.
-        context = multiprocessing.get_context("spawn")
-        with ProcessPoolExecutor(min(n_workers, len(remaining)), mp_context=context) as pool:
-            futures = {pool.submit(run_job, job): k for k, job in enumerate(remaining)}
-            for future in as_completed(futures):
-                k = futures[future]
-                try:
-                    future.result()
-                except BrokenProcessPool:
-                    continue
-                done.add(k)
-                yield remaining[k], None
-        left = [job for k, job in enumerate(remaining) if k not in done]
-        if len(left) == len(remaining):
-            # Nobody came back: try them alone, so that only the one at fault is lost.
-            for job in left:
-                yield job, _alone(job)
-            return
-        remaining = left
-
-
-def _alone(job: RunJob) -> str | None:
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(1, mp_context=context) as pool:
-        try:
-            pool.submit(run_job, job).result()
-        except BrokenProcessPool:
-            return "the process that ran it died"
-    return None

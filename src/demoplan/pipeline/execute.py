@@ -8,8 +8,8 @@ import polars as pl
 from demoplan.engines.mujoco.session import Session
 from demoplan.language.domains import Domain
 from demoplan.language.vocabulary import Vocabulary
+from demoplan.manifests.faults import AnyFault
 from demoplan.pipeline.executing import ExecuteParams, Executor
-from demoplan.pipeline.faults import AnyFault
 from demoplan.tables import Executions, Runs
 
 MONITORS = ("full", "preconditions", "none")
@@ -71,8 +71,9 @@ def execute(
         "fault_kind": None if fault is None else fault.kind,
         "fault_class": executor.injector.true_class,
         "severity": None if fault is None else fault.severity,
-        "is_recoverable": None if fault is None else fault.is_recoverable,
         "is_fault_injected": executor.injector.is_done,
+        "fault_ns": executor.injector.happened_ns,
+        "is_recoverable": None,
     }
     run: dict[str, object] = {
         "run_id": run_id,

@@ -1,17 +1,12 @@
-"""Faults to inject, from a file; each with its true class and severity, which no monitor gets to see.
+"""Faults as they happen: in the domain that is planned with, or in the world; and their true classes.
 
-A fault of the world happens once, when the step that its ``at`` names has run for ``delay_s``. A fault of the
-operator model changes the domain that is planned with, from the start.
+No monitor gets to see either.
 """
 
 from collections.abc import Mapping
 from dataclasses import replace
-from pathlib import Path
-from typing import Annotated, TypeAlias
-from typing import Literal as Choice
 
 import numpy as np
-from pydantic import Field
 
 from demoplan.engines.mujoco.scene import free_spot
 from demoplan.engines.mujoco.session import (
@@ -26,140 +21,23 @@ from demoplan.engines.mujoco.session import (
     SensorBlind,
     Session,
 )
-from demoplan.errors import ManifestError, PddlError, UnknownNameError, UsageError
-from demoplan.language.atoms import Atom, Literal
+from demoplan.errors import UnknownNameError, UsageError
+from demoplan.language.atoms import Literal
 from demoplan.language.domains import Domain
-from demoplan.manifests.loading import load_yaml
-from demoplan.manifests.mapping import Strict
+from demoplan.manifests.faults import (
+    AnyFault,
+    BlockedPathFault,
+    DropFault,
+    ObjectMovedFault,
+    ObjectRemovedFault,
+    PlacingOffsetFault,
+    SensorBiasFault,
+    SensorBlindFault,
+    SlipFault,
+    WrongLiteralFault,
+    literal_of,
+)
 from demoplan.stages.diagnose import FailureClass
-
-SafeName = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,127}$")]
-Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
-
-
-class When(Strict):
-    """The moment at which a fault of the world happens."""
-
-    activity: str = "Put"
-    occurrence: int = Field(default=1, ge=1)
-    """Which step of that activity, counted over the run."""
-    delay_s: float = Field(default=0.0, ge=0.0)
-    """After its dispatch."""
-
-
-class _Fault(Strict):
-    name: SafeName
-    severity: Choice["mild", "moderate", "severe"] = "moderate"
-    is_recoverable: bool = True
-    """Whether the goal can still be reached by what the domain and the robot can do."""
-    at: When = When()
-
-
-class PlacingOffsetFault(_Fault):
-    """The next object that is put down comes down beside the aim, in a direction drawn from the seed."""
-
-    kind: Choice["placing_offset"]
-    offset_m: Positive
-
-
-class SlipFault(_Fault):
-    """The fingers lose their friction for a while."""
-
-    kind: Choice["slip"]
-    duration_s: Positive = 1.0
-    friction: Positive = 0.02
-    at: When = When(delay_s=0.8)
-
-
-class DropFault(_Fault):
-    """The hand opens by itself."""
-
-    kind: Choice["drop"]
-    at: When = When(delay_s=0.8)
-
-
-class BlockedPathFault(_Fault):
-    """A box stands between the hand and where it is going; the robot does not know of it."""
-
-    kind: Choice["blocked_path"]
-    size_m: Positive = 0.10
-    duration_s: Positive = 3.0
-    is_seen: bool = False
-
-
-class FlippedPredicateFault(_Fault):
-    """Perception says the opposite about one predicate of the step's object."""
-
-    kind: Choice["flipped_predicate"]
-    predicate: str
-    duration_s: Positive = 1.0
-
-
-class StalePredicateFault(_Fault):
-    """Perception goes on to say what it said about one predicate of the step's object."""
-
-    kind: Choice["stale_predicate"]
-    predicate: str
-    duration_s: Positive = 4.0
-
-
-class SensorBiasFault(_Fault):
-    """Sensors see the step's object beside where it is."""
-
-    kind: Choice["sensor_bias"]
-    offset_m: Positive
-    duration_s: Positive = 1.0
-
-
-class SensorBlindFault(_Fault):
-    """Sensors do not see the step's object."""
-
-    kind: Choice["sensor_blind"]
-    duration_s: Positive = 1.0
-
-
-class WrongLiteralFault(_Fault):
-    """An operator says something that is not so, or lacks something that is."""
-
-    kind: Choice["wrong_precondition", "wrong_effect"]
-    activity: str
-    """Every operator of this activity is changed."""
-    literal: str
-    """In the operator's own variables: ``not handOpen(?hand)``."""
-    change: Choice["add", "drop"] = "add"
-
-
-class ObjectMovedFault(_Fault):
-    """Somebody puts an object elsewhere on the table."""
-
-    kind: Choice["object_moved"]
-    which: Choice["thing", "support", "other"] = "thing"
-    """The step's object, what it is to be put on, or one that no step of the plan speaks of."""
-    distance_m: Positive = 0.15
-
-
-class ObjectRemovedFault(_Fault):
-    """Somebody takes an object away for good."""
-
-    kind: Choice["object_removed"]
-    which: Choice["thing", "support", "other"] = "thing"
-    is_recoverable: bool = False
-
-
-AnyFault: TypeAlias = Annotated[
-    PlacingOffsetFault
-    | SlipFault
-    | DropFault
-    | BlockedPathFault
-    | FlippedPredicateFault
-    | StalePredicateFault
-    | SensorBiasFault
-    | SensorBlindFault
-    | WrongLiteralFault
-    | ObjectMovedFault
-    | ObjectRemovedFault,
-    Field(discriminator="kind"),
-]
 
 CLASS_OF_KIND: Mapping[str, FailureClass] = {
     "placing_offset": "execution_offset",
@@ -178,54 +56,6 @@ CLASS_OF_KIND: Mapping[str, FailureClass] = {
 """The true class of each kind of fault."""
 
 
-class FaultsFile(Strict):
-    """The form of a faults file."""
-
-    faults: tuple[AnyFault, ...]
-
-
-def parse_faults(text: str, path: Path | str) -> tuple[AnyFault, ...]:
-    """The faults that a file describes.
-
-    Raises:
-        ManifestError: If its form is wrong, or a name is used twice; with the line.
-    """
-    faults = load_yaml(text, path, FaultsFile).faults
-    names: set[str] = set()
-    for fault in faults:
-        if fault.name in names:
-            lines = [n for n, line in enumerate(text.splitlines(), 1) if fault.name in line]
-            raise ManifestError(path, lines[-1] if lines else None, f"fault {fault.name!r} is named twice")
-        names.add(fault.name)
-        if isinstance(fault, WrongLiteralFault):
-            try:
-                _literal(fault.literal)
-            except PddlError as error:
-                line = next((n for n, row in enumerate(text.splitlines(), 1) if fault.literal in row), None)
-                raise ManifestError(path, line, f"fault {fault.name!r}: {error}") from None
-    return faults
-
-
-def read_faults(path: Path) -> tuple[AnyFault, ...]:
-    """The faults that a file describes; see :func:`parse_faults`."""
-    try:
-        return parse_faults(path.read_text(encoding="utf-8"), path)
-    except (OSError, UnicodeDecodeError) as error:
-        raise UsageError(f"{path}: cannot be read: {error}") from None
-
-
-def _literal(text: str) -> Literal:
-    bare = text.strip()
-    is_positive = not bare.startswith("not ")
-    bare = bare if is_positive else bare[4:].strip().removeprefix("(").removesuffix(")")
-    predicate, bracket, names = bare.removesuffix(")").partition("(")
-    if not bracket:
-        raise PddlError(f"not an atom: {text!r}; expected predicate(?variable, …), as in clear(?to)")
-    plain = Atom.parse(f"{predicate}({names.replace('?', '')})")
-    arguments = tuple(part.strip() for part in names.split(",")) if names.strip() else ()
-    return Literal(Atom(plain.predicate, arguments), is_positive)
-
-
 def changed_domain(domain: Domain, fault: AnyFault | None) -> Domain:
     """The domain as a fault of the operator model leaves it; the domain itself for any other fault.
 
@@ -235,7 +65,7 @@ def changed_domain(domain: Domain, fault: AnyFault | None) -> Domain:
     """
     if not isinstance(fault, WrongLiteralFault):
         return domain
-    literal = _literal(fault.literal)
+    literal = literal_of(fault.literal)
     if not any(each.activity == fault.activity for each in domain.operators):
         raise UnknownNameError(
             "activity", fault.activity, {each.activity for each in domain.operators}, f"fault {fault.name!r}"
@@ -272,6 +102,7 @@ def world_fault(
     thing: str | None,
     support: str | None,
     planned: frozenset[str],
+    angle_rad: float,
     rng: np.random.Generator,
 ) -> Fault | None:
     """What to inject into a session for a fault of the world, now.
@@ -283,10 +114,10 @@ def world_fault(
         thing: The step's object.
         support: What it is to come to rest on.
         planned: Objects that the plan speaks of.
-        rng: Source of directions and places.
+        angle_rad: Direction in which something goes aside, about the vertical [rad].
+        rng: Source of free places.
     """
-    angle = float(rng.uniform(0.0, 2.0 * np.pi))
-    aside = (float(np.cos(angle)), float(np.sin(angle)))
+    aside = (float(np.cos(angle_rad)), float(np.sin(angle_rad)))
     if isinstance(fault, PlacingOffsetFault):
         return PlacingOffset(
             hand=hand, offset_xyz_m=(aside[0] * fault.offset_m, aside[1] * fault.offset_m, 0.0)

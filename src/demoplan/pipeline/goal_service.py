@@ -12,7 +12,8 @@ from demoplan.errors import UsageError
 from demoplan.language.domains import Domain
 from demoplan.language.goals import parse_goal
 from demoplan.language.vocabulary import Vocabulary
-from demoplan.pipeline.evaluate import GoalCase, scene_of
+from demoplan.manifests.goals import GoalCase
+from demoplan.pipeline.evaluate import scene_of
 from demoplan.pipeline.execute import ExecuteParams, execute
 from demoplan.pipeline.replanning import emptied_hands, plan_from
 from demoplan.pipeline.senses import Senses

@@ -1,19 +1,19 @@
 """Lets one fault happen in a run, at the step that it names, in the session or in what is perceived."""
 
+import zlib
 from dataclasses import dataclass
 
 import numpy as np
 
 from demoplan.engines.mujoco.session import Motion, Session
 from demoplan.language.execution import GroundOperator
-from demoplan.pipeline.faults import (
-    CLASS_OF_KIND,
+from demoplan.manifests.faults import (
     AnyFault,
     FlippedPredicateFault,
     StalePredicateFault,
     WrongLiteralFault,
-    world_fault,
 )
+from demoplan.pipeline.faults import CLASS_OF_KIND, world_fault
 from demoplan.pipeline.senses import Misreading, Senses
 from demoplan.stages.diagnose import FailureClass
 from demoplan.stages.monitor import effects_of
@@ -37,9 +37,20 @@ class Injector:
     def __init__(self, fault: AnyFault | None, session: Session, senses: Senses, seed: int) -> None:
         """Wait for the fault's step. A fault of the operator model has happened already, in the domain."""
         self.fault, self._session, self._senses = fault, session, senses
-        self.is_done = isinstance(fault, WrongLiteralFault)
-        self._rng = np.random.default_rng([seed, 0x0FA17])
+        self.happened_ns: int | None = 0 if isinstance(fault, WrongLiteralFault) else None
+        """When it happened; a fault of the operator model, from the start [ns]."""
+        self.has_shown = False
+        """It has happened, and if it is one of the operator model, a step of such an operator has ended."""
+        # What is random is drawn before anything runs: how a run is monitored changes nothing about it.
+        name = 0 if fault is None else zlib.crc32(fault.name.encode())
+        self._rng = np.random.default_rng([seed, 0x0FA17, name])
+        self._angle_rad = float(self._rng.uniform(0.0, 2.0 * np.pi))
         self._due: _Due | None = None
+
+    @property
+    def is_done(self) -> bool:
+        """Whether it has happened."""
+        return self.happened_ns is not None
 
     @property
     def true_class(self) -> FailureClass | None:
@@ -85,14 +96,17 @@ class Injector:
             thing=due.motion.object,
             support=due.motion.support,
             planned=due.planned,
+            angle_rad=self._angle_rad,
             rng=self._rng,
         )
         if event is not None:
             self._session.inject(event)
-            self.is_done = True
+            self._happen()
 
-    def ended(self, step: GroundOperator) -> None:
+    def ended(self, step: GroundOperator, activity: str) -> None:
         """A step has ended: if it is the one, perception errs about its effects from now on."""
+        if isinstance(self.fault, WrongLiteralFault) and self.fault.activity == activity:
+            self.has_shown = True
         is_here = self._due is not None and self._due.step == step and not self.is_done
         if isinstance(self.fault, FlippedPredicateFault) and is_here:
             self._misread(self.fault)
@@ -111,4 +125,7 @@ class Injector:
                 says=self._senses.look().held & atoms if is_stale else None,
             )
         )
-        self.is_done = True
+        self._happen()
+
+    def _happen(self) -> None:
+        self.happened_ns, self.has_shown = self._session.time_ns, True

@@ -14,11 +14,11 @@ SUITE = "execution"
 def score_runs(runs: dy.DataFrame[Runs]) -> dy.DataFrame[Scores]:
     """Shares with Wilson intervals, per monitor.
 
-    Faults count only where they were injected. Recovered means: the goal was physically reached after a fault
-    that its file calls recoverable. A false alarm is a discrepancy that was acted upon and was not true, in a
-    run without a fault. The class is right if the first one named after the fault is the true one; a run in
-    which none was named counts as missed, unless the goal was reached all the same: then the fault had no
-    effect that could have been named.
+    Recovered means: the goal was physically reached though a fault happened from which one could recover.
+    That is decided for the case, so that all monitors are held against the same ones. A false alarm is a
+    discrepancy that was acted upon and was not true, in a run without a fault. The class is right if the
+    first one named after the fault is the true one; a run in which none was named counts as missed, unless
+    the goal was reached all the same: then the fault had no effect that could have been named.
 
     Args:
         runs: Any number of runs.
@@ -36,14 +36,16 @@ def score_runs(runs: dy.DataFrame[Runs]) -> dy.DataFrame[Scores]:
         rows += _shares(clean, method, "runs with an unsound dispatch", pl.col("n_unsound") > 0, ())
         believed = (pl.col("outcome") == "reached") == pl.col("is_goal_reached")
         rows += _shares(own, method, "ends as it believes", believed, ())
-        able = faulty.filter(pl.col("is_recoverable"))
-        rows += _shares(able, method, "recovered", pl.col("is_goal_reached"), ("fault_kind", "severity"))
+        able = own.filter(pl.col("is_recoverable"))
+        rows += _shares(
+            able, method, "recovered", pl.col("is_goal_reached"), ("fault_class", "fault", "severity")
+        )
         told = faulty.filter(pl.col("diagnosed").is_not_null() | ~pl.col("is_goal_reached"))
         is_right = (pl.col("diagnosed").cast(pl.String) == pl.col("fault_class").cast(pl.String)).fill_null(
             value=False
         )
         if monitor == "full":
-            rows += _shares(told, method, "class named rightly", is_right, ("fault_kind",))
+            rows += _shares(told, method, "class named rightly", is_right, ("fault_class", "fault"))
     schema = {name: column.dtype for name, column in Scores.columns().items()}
     table = pl.DataFrame(rows, schema=schema).sort("suite", "method", "metric", "subject")
     return Scores.validate(table)

@@ -10,7 +10,7 @@ intervals are half-open ``[start_ns, end_ns)``; same name, same quantity, same u
 from demoplan.tables.activities import Activities
 from demoplan.tables.confusions import Confusions
 from demoplan.tables.episodes import Episodes, Topics
-from demoplan.tables.executions import Executions, Runs
+from demoplan.tables.executions import Executions, FaultCases, Runs
 from demoplan.tables.facts import Facts
 from demoplan.tables.frames import Frames
 from demoplan.tables.operators import Evidence, Literals, Operators
@@ -26,6 +26,7 @@ __all__ = [
     "Evidence",
     "Executions",
     "Facts",
+    "FaultCases",
     "Frames",
     "Literals",
     "Operators",

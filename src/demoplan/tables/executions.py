@@ -53,8 +53,16 @@ class Runs(dy.Schema):
     fault_kind = dy.String(nullable=True, description="What kind of fault: placing_offset, slip, …")
     fault_class = dy.Enum(FAILURE_CLASSES, nullable=True, description="Its true class")
     severity = dy.String(nullable=True, description="As the faults file calls it: mild, moderate, severe")
-    is_recoverable = dy.Bool(nullable=True, description="Whether the faults file says that one can recover")
     is_fault_injected = dy.Bool(description="Whether the run came to the point at which it happens")
+    fault_ns = dy.Int64(
+        nullable=True,
+        description="When it happened; a wrong operator, from the start",
+        metadata={"unit": "ns"},
+    )
+    is_recoverable = dy.Bool(
+        nullable=True,
+        description="Whether the goal could be reached after the fault: see FaultCases; null if none happens",
+    )
     is_goal_reached = dy.Bool(description="By physics, at the end")
     is_goal_sensed = dy.Bool(description="As the monitor believes")
     outcome = dy.Enum(
@@ -78,3 +86,19 @@ class Runs(dy.Schema):
         description="Class first named after the fault, or in a run without one at all",
     )
     simulated_s = dy.Float64(min=0.0, description="Simulated time", metadata={"unit": "s"})
+
+
+class FaultCases(dy.Schema):
+    """One row per fault in a domain, goal, robot and seed: whether anybody could recover from it.
+
+    It is decided without any monitor, by what is physically so after the fault; so every monitor is held
+    against the same cases.
+    """
+
+    case_id = dy.String(primary_key=True, description="Hash of domain, goal, robot, fault and seed")
+    has_happened = dy.Bool(description="Whether the fault happens when the plan is carried out open loop")
+    is_recoverable = dy.Bool(
+        nullable=True,
+        description="Whether a plan leads from the true state to the goal; null without a fault",
+    )
+    reason = dy.String(description="Why, in words")

@@ -9,9 +9,10 @@ from polars.testing import assert_frame_equal
 
 from demoplan.errors import ManifestError, UsageError
 from demoplan.language.pddl import render_domain
+from demoplan.manifests.faults import parse_faults
+from demoplan.manifests.goals import GoalCase, parse_goals, read_goals
 from demoplan.pipeline import evaluate as evaluating
-from demoplan.pipeline.evaluate import GoalCase, evaluate, jobs_of, parse_goals, read_goals
-from demoplan.pipeline.faults import parse_faults
+from demoplan.pipeline.evaluate import evaluate, jobs_of
 from demoplan.pipeline.run_views import execution_report, record_run
 from demoplan.stages.score_runs import fault_confusion, score_runs
 from demoplan.store import Store
@@ -46,7 +47,7 @@ def test_a_robot_reaches_a_goal_by_physics_and_is_not_run_twice(jobs, monkeypatc
 def test_equal_seeds_give_identical_executions(jobs, tmp_path):
     pytest.importorskip("mujoco")
     one = evaluate(jobs(), n_workers=1)
-    other = evaluate([replace(job, store_root=tmp_path / "other") for job in jobs()], n_workers=1)
+    other = evaluate([replace(job, store=tmp_path / "other") for job in jobs()], n_workers=1)
     assert_frame_equal(one.runs, other.runs)
     assert_frame_equal(one.steps, other.steps)
 
@@ -54,7 +55,7 @@ def test_equal_seeds_give_identical_executions(jobs, tmp_path):
 @pytest.mark.slow
 def test_processes_give_what_one_process_gives(jobs, tmp_path):
     several = jobs(seeds=[0, 1, 2])
-    alone = evaluate([replace(job, store_root=tmp_path / "alone") for job in several], n_workers=1)
+    alone = evaluate([replace(job, store=tmp_path / "alone") for job in several], n_workers=1)
     together = evaluate(several, n_workers=2)
     assert_frame_equal(alone.runs, together.runs)
     assert_frame_equal(alone.steps, together.steps)
@@ -119,7 +120,7 @@ def test_the_shipped_goals_are_read():
     ("text", "line", "said"),
     [
         ("goals:\n  - {name: a}", 2, "missing"),
-        ("goals:\n  - {name: a, goal: x}\n  - {name: a, goal: y}", 3, "twice"),
+        ("goals:\n  - {name: a, goal: x}\n  - {name: a, goal: y}", 3, "twice; first on line 2"),
         ("goals:\n  - {name: a, goal: x, tower: 3}", 2, "unknown key"),
     ],
 )

@@ -9,8 +9,8 @@ from polars.testing import assert_frame_equal
 
 from demoplan.engines.mujoco.skills import read_skills
 from demoplan.errors import ManifestError, PddlError, UnknownNameError, UsageError
+from demoplan.manifests.faults import parse_faults, read_faults
 from demoplan.pipeline.execute import ExecuteParams, execute
-from demoplan.pipeline.faults import parse_faults, read_faults
 
 ROOT = Path(__file__).resolve().parents[3]
 TOWER = "onTop(cube_red, cube_blue) & onTop(cube_green, cube_red)"
@@ -236,7 +236,7 @@ def test_the_shipped_faults_file_is_read_and_names_every_class():
     ("text", "line", "said"),
     [
         ("faults:\n  - {name: a, kind: slap}", 2, "slap"),
-        ("faults:\n  - {name: a, kind: drop}\n  - {name: a, kind: drop}", 3, "twice"),
+        ("faults:\n  - {name: a, kind: drop}\n  - {name: a, kind: drop}", 3, "twice; first on line 2"),
         ("faults:\n  - {name: a, kind: placing_offset, offset_m: -1}", 2, "greater than 0"),
         ("faults:\n  - {name: a, kind: drop, when: 3}", 2, "unknown key"),
         ("faults:\n  - {name: a, kind: wrong_effect, activity: Take, literal: 'clear'}", 2, "not an atom"),

@@ -1,12 +1,14 @@
 """Who decides: dispatches what is ready on free hands, watches, and acts on what differs."""
 
 from collections import Counter
+from collections.abc import Callable
 
 from demoplan.engines.mujoco.session import MotionReport, Session
 from demoplan.errors import UnknownNameError
 from demoplan.language.domains import Domain, Plan
 from demoplan.language.goals import parse_goal
 from demoplan.language.vocabulary import Vocabulary
+from demoplan.manifests.faults import AnyFault
 from demoplan.pipeline.executing.counts import Counts
 from demoplan.pipeline.executing.course import Bound, Course, Running
 from demoplan.pipeline.executing.discrepancies import Discrepancies
@@ -15,7 +17,7 @@ from demoplan.pipeline.executing.hands import Hands
 from demoplan.pipeline.executing.params import ExecuteParams
 from demoplan.pipeline.executing.recovering import Recovery
 from demoplan.pipeline.executing.rows import Row, StepRows, end_of
-from demoplan.pipeline.faults import AnyFault, changed_domain
+from demoplan.pipeline.faults import changed_domain
 from demoplan.pipeline.injecting import Injector
 from demoplan.pipeline.replanning import emptied_hands, plan_from
 from demoplan.pipeline.senses import Senses
@@ -59,7 +61,7 @@ class Executor:
         self.injector = Injector(fault, session, self.senses, seed)
         self.hands = Hands(session, self.injector, params)
         self.noted = StepRows(run_id)
-        self._recovery = Recovery(self.hands, self.senses, params, self._row_beside)
+        self.recovery = Recovery(self.hands, self.senses, params, self._row_beside)
         self.counts = Counts()
         self.discrepancies = Discrepancies(
             changed_domain(domain, fault),
@@ -71,12 +73,18 @@ class Executor:
             has_happened=lambda: fault is None or self.injector.is_done,
         )
         self._n_started: Counter[str] = Counter()
+        self._until: Callable[[], bool] = lambda: False
         self._course = self._course_of(domain, Plan())
 
     # --- the run -------------------------------------------------------------------------------------------
 
-    def run(self) -> Ended:
-        """Carry it out, to an end."""
+    def run(self, until: Callable[[], bool] = lambda: False) -> Ended:
+        """Carry it out, to an end.
+
+        Args:
+            until: Asked all the time; once it is true, hands come to rest and the run is ``stopped``.
+        """
+        self._until = until
         self.session.advance(self.params.lag_s)
         try:
             while True:
@@ -90,7 +98,7 @@ class Executor:
                     self._close_rows()
                     self.hands.advance(max(replanned.pause_s, self.params.poll_s))
                     if replanned.let_go is not None:
-                        self._recovery.open(replanned.let_go)
+                        self.recovery.open(replanned.let_go)
         except RunEnded as end:
             self.hands.stop(self._course)
             self._close_rows()
@@ -122,7 +130,7 @@ class Executor:
             assert plan is not None
             plan, refusal = Plan(plan.steps[: planned.n_possible], plan.cost), planned.reason
         if plan is None:
-            if planned.outcome == "no_plan" and self._recovery.free_a_hand(sensed):
+            if planned.outcome == "no_plan" and self.recovery.free_a_hand(sensed):
                 return False
             raise RunEnded(planned.outcome, planned.reason)
         self._course = self._course_of(planned.domain, plan, refusal)
@@ -144,6 +152,8 @@ class Executor:
         running = self._course.running
         while not self._course.is_over:
             self.hands.check_time()
+            if self._until():
+                raise RunEnded("stopped", "whoever started it has seen enough")
             for index in self._course.ready():
                 bound = self._course.bound(index)
                 if bound.hand not in running:
@@ -215,7 +225,7 @@ class Executor:
         """A motion has ended: has it done what it should have?"""
         row, lasting = running.row, self._course.lasting[running.index]
         row["end_ns"] = self.session.time_ns
-        self.injector.ended(lasting)
+        self.injector.ended(lasting, running.bound.operator.activity)
         is_well = report is not None and report.state == "succeeded"
         if report is not None:
             row |= {
