@@ -58,7 +58,8 @@ class SimulatedSession:
         self.scene = scene
         self.robot = robot
         self.params = params
-        built = make_robot(robot)
+        self.seed = seed
+        built = make_robot(robot, scene)
         physics = SceneParams(table_size_xyz_m=scene.table_size_xyz_m, timestep_s=built.timestep_s)
         spec = build_objects(scene, physics)
         for index in range(N_OBSTACLES):

@@ -1,21 +1,26 @@
 """One hand at work: its motion, command by command, and what it measures meanwhile."""
 
-from collections.abc import Callable, Generator, Iterable, Sequence
+from collections.abc import Callable, Generator, Iterable
 from dataclasses import dataclass, replace
 from typing import Protocol, TypeAlias
 
 import mujoco
 import numpy as np
 
-from demoplan.engines.mujoco.robots.checking import Checker, Held, Touch
+from demoplan.engines.mujoco.robots.checking import Checker, Held
 from demoplan.engines.mujoco.robots.grasps import Stance
-from demoplan.engines.mujoco.robots.paths import Upright, Way, progress, way_through, ways_over
-from demoplan.engines.mujoco.robots.robot import Arm, Unreachable
+from demoplan.engines.mujoco.robots.paths import Upright, progress
+from demoplan.engines.mujoco.robots.robot import Arm
+from demoplan.engines.mujoco.robots.routing import Destination, NoWay, Other, Router, Start, Track
 from demoplan.engines.mujoco.session import Motion, MotionProblem, MotionReport, MotionState, SkillParams
 from demoplan.geometry import Array
 
 Script: TypeAlias = Generator[None, None, None]
 """What a hand does; it is resumed once per control step."""
+
+
+_FAR_POSTURE_SPACINGS = 6.0
+"""An arm that rests farther than this from its posture puts itself right."""
 
 
 class MotionFailed(Exception):  # noqa: N818
@@ -33,6 +38,7 @@ class Surroundings(Protocol):
     """What a hand knows of the scene: by sensors, never by physics."""
 
     step_s: float
+    seed: int
     checker: Checker
     model: mujoco.MjModel
     data: mujoco.MjData
@@ -82,6 +88,7 @@ class ArmControl:
         self.around = around
         self.defaults = params
         self.params = params
+        self._router = Router(arm, around.checker)
         self.closure = 0.0
         self.held: Held | None = None
         self.held_width_m = 0.0
@@ -209,13 +216,11 @@ class ArmControl:
         """How far the pads are apart, by the joint's encoder [m]."""
         return self.arm.opening_m(self.around.data)
 
-    def upcoming(self, n: int, every: int) -> Array:
-        """Its next ``n`` configurations, ``every`` control steps apart, ``(n, d)``."""
-        last = self._ahead[-1] if len(self._ahead) else self.arm.commanded()
+    def upcoming(self) -> Array:
+        """Its configurations from now on, one per control step, ``(n, d)``; at least one."""
         if self._at >= len(self._ahead):
-            return np.broadcast_to(last, (n, len(last)))
-        rows = np.minimum(self._at + every * np.arange(n), len(self._ahead) - 1)
-        return self._ahead[rows]
+            return self.arm.commanded()[None]
+        return self._ahead[self._at :]
 
     # What motions are made of ------------------------------------------------------------------------
 
@@ -231,31 +236,28 @@ class ArmControl:
             self.closure = begin + (closure - begin) * step / n
             yield
 
-    def follow(
-        self, way: Way, configurations: Array, speed_m_per_s: float, stop: Callable[[], bool] | None = None
-    ) -> Script:
-        """Go along a way that has been found free.
+    def follow(self, track: Track, speed_m_per_s: float, stop: Callable[[], bool] | None = None) -> Script:
+        """Go along a track that has been found free.
 
         Args:
-            way: Poses of the grasp.
-            configurations: The arm's, for each of them.
+            track: Where to.
             speed_m_per_s: Peak speed.
             stop: Ends the way early when it says so.
 
         Raises:
             MotionFailed: If the hand is pushed off its way.
         """
-        lengths = way.lengths_m
+        lengths, step_s = track.lengths_m, self.around.step_s
         if lengths[-1] < 1e-6:
             return
-        done = progress(float(lengths[-1]), speed_m_per_s, self.around.step_s)
-        self._ahead = _columns(done, lengths, configurations)
-        rates = np.abs(np.diff(self._ahead, axis=0, prepend=configurations[:1])) / self.around.step_s
+        done = progress(float(lengths[-1]), speed_m_per_s, step_s)
+        self._ahead = _columns(done, lengths, track.configurations)
+        rates = np.abs(np.diff(self._ahead, axis=0, prepend=track.configurations[:1])) / step_s
         excess = float((rates.max(axis=0) / self.arm.speed_limits).max())
         if excess > 1.0:
-            done = progress(float(lengths[-1]), speed_m_per_s, self.around.step_s, excess)
-            self._ahead = _columns(done, lengths, configurations)
-        aims = _columns(done, lengths, way.position_xyz_m)
+            done = progress(float(lengths[-1]), speed_m_per_s, step_s, excess)
+            self._ahead = _columns(done, lengths, track.configurations)
+        aims = _columns(done, lengths, track.position_xyz_m)
         limit = self.params.off_course_m**2
         for at in range(len(done)):
             self._at = at
@@ -270,175 +272,83 @@ class ArmControl:
                 break
         self.hold_still()
 
-    def find_way(
-        self,
-        corners_xyz_m: Iterable[Array],
-        yaw_rad: float,
-        opening_m: float,
-        *,
-        speed_m_per_s: float,
-        depth_m: float = 0.0015,
-        tail_xyz_m: Sequence[Array] = (),
-    ) -> tuple[Way, Array, Touch | None, str | None]:
-        """The first of several ways that the arm can go without touching anything.
-
-        Args:
-            corners_xyz_m: Corners of each way.
-            yaw_rad: How the hand is to be turned in the end.
-            opening_m: How far it is open.
-            speed_m_per_s: Peak speed, for where other hands will be meanwhile.
-            depth_m: Depth of contacts that are put down to sensing.
-            tail_xyz_m: Places that must be free and in reach after the way's end, too.
-
-        Returns:
-            Way and configurations, and if there is none, what was touched or why it cannot be reached.
-        """
-        self.around.arrange()
-        start_yaw = self.yaw_now()
-        end_yaw = start_yaw + float((yaw_rad - start_yaw + np.pi) % (2 * np.pi) - np.pi)
-        touch: Touch | None = None
-        why: str | None = None
-        empty = Way(np.zeros((0, 3)), np.zeros(0))
-        for corners in corners_xyz_m:
-            n = len(corners)
-            share = (
-                np.linspace(0.0, 1.0, n)
-                if n <= 2
-                else np.concatenate([[0, 0], np.linspace(0, 1, n - 2)[1:], [1]])
-            )
-            way = way_through(corners, start_yaw + share * (end_yaw - start_yaw))
-            whole = way
-            if len(tail_xyz_m):
-                more = way_through(
-                    np.array([corners[-1], *tail_xyz_m]), np.full(1 + len(tail_xyz_m), end_yaw)
-                )
-                whole = Way(
-                    np.concatenate([way.position_xyz_m, more.position_xyz_m[1:]]),
-                    np.concatenate([way.yaw_rad, more.yaw_rad[1:]]),
-                )
-            try:
-                configurations = self.arm.configurations(
-                    self.arm.commanded(), whole.position_xyz_m, whole.yaw_rad
-                )
-            except Unreachable as error:
-                why = str(error)
-                continue
-            others = [
-                (other.arm, other.upcoming(len(configurations), self._spacing(whole, speed_m_per_s)))
-                for other in self.around.others_of(self.arm.hand)
-            ]
-            touch = self.around.checker.first_touch(
-                self.arm,
-                configurations,
-                opening_m,
-                self.held,
-                others,
-                self.around.hidden_geoms(),
-                depth_m,
-            )
-            if touch is None:
-                n_way = len(way.position_xyz_m)
-                return way, configurations[:n_way], None, None
-        return empty, np.zeros((0, 0)), touch, why
-
-    def yaw_now(self) -> float:
-        """How the hand is commanded to be turned [rad]."""
-        return self.yaw_rad()
-
-    def _spacing(self, way: Way, speed_m_per_s: float) -> int:
-        """Control steps between two points of a way."""
-        duration = 1.875 * float(way.lengths_m[-1]) / speed_m_per_s
-        return max(1, round(duration / self.around.step_s / max(1, len(way.yaw_rad))))
-
     def start_xyz_m(self) -> Array:
         """Where the next way begins: the place that was commanded last ``(3,)``."""
         return np.array(self._aim_xyz_m)
 
-    def go_over(
-        self,
-        goal_xyz_m: Array,
-        yaw_rad: float,
-        *,
-        opening_m: float,
-        speed_m_per_s: float,
-        radius_m: float,
-        below_m: float,
-        without: Iterable[str],
-        tail_xyz_m: Sequence[Array] = (),
-        approach_m: float | None = None,
-    ) -> Script:
+    def _start(self) -> Start:
+        """What a way is looked for from."""
+        self.around.arrange()
+        return Start(
+            self.arm.commanded(),
+            self.start_xyz_m(),
+            self.yaw_rad(),
+            self.held,
+            self.around.step_s,
+            tuple(Other(each.arm, each.upcoming()) for each in self.around.others_of(self.arm.hand)),
+            self.around.hidden_geoms(),
+        )
+
+    def go_over(self, to: Destination, *, through_joints: bool = False) -> Script:
         """Go over, or around, everything to a place, from above; wait while another hand is in the way.
+
+        Args:
+            to: Where, and what the hand needs on its way.
+            through_joints: Look for any path of the arm, where the hand need not stay upright.
 
         Raises:
             MotionFailed: If there is no way.
         """
         waited_s = 0.0
         while True:
-            way, configurations, touch, why = self._over(
-                goal_xyz_m,
-                yaw_rad,
-                opening_m,
-                speed_m_per_s,
-                radius_m,
-                below_m,
-                tuple(without),
-                tail_xyz_m,
-                self.params.approach_m if approach_m is None else approach_m,
-            )
-            if len(way.yaw_rad):
+            start = self._start()
+            if through_joints:
+                rng = np.random.default_rng((self.around.seed, self.around.time_ns))
+                found = self._router.through_joints(start, to, rng)
+            else:
+                found = self._router.over(start, to, self.around.things(to.without))
+            if isinstance(found, Track):
                 break
-            if touch is None or not touch.is_hand or waited_s > self.params.timeout_s / 2:
-                raise _no_way(goal_xyz_m, touch, why)
+            if not found.is_hand or waited_s > self.params.timeout_s / 2:
+                raise _no_way(to.position_xyz_m, found)
             waited_s += 0.2
             yield from self.wait(0.2)
-        yield from self.follow(way, configurations, speed_m_per_s)
+        yield from self.follow(found, to.speed_m_per_s)
 
-    def _over(
-        self,
-        goal: Array,
-        yaw: float,
-        opening_m: float,
-        speed: float,
-        radius_m: float,
-        below_m: float,
-        without: Sequence[str],
-        tail: Sequence[Array],
-        approach_m: float,
-    ) -> tuple[Way, Array, Touch | None, str | None]:
-        corners = ways_over(
-            self.start_xyz_m(),
-            goal,
-            self.around.things(without),
-            radius_m=radius_m,
-            below_m=below_m,
-            clearance_m=self.params.clearance_m,
-            approach_m=approach_m,
-            highest_m=self.arm.highest_m,
-        )
-        return self.find_way(corners, yaw, opening_m, speed_m_per_s=speed, tail_xyz_m=tail)
+    def go_home(self, to: Destination) -> Script:
+        """Go to the rest, in its own posture as far as there is a way: from there most can be reached.
+
+        Raises:
+            MotionFailed: If there is no way to the place at all.
+        """
+        home = replace(to, configuration=self.arm.rest_configuration)
+        try:
+            yield from self.go_over(to)
+        except MotionFailed as failure:
+            if not failure.is_blocked:
+                raise
+            yield from self.go_over(home, through_joints=True)
+        off = np.abs(self.arm.commanded() - self.arm.rest_configuration) / self.arm.space.spacing
+        if off.max() > _FAR_POSTURE_SPACINGS:
+            try:
+                yield from self.go_over(home, through_joints=True)
+            except MotionFailed as failure:
+                if not failure.is_blocked:
+                    raise
 
     def go_straight(
-        self,
-        goal_xyz_m: Array,
-        yaw_rad: float,
-        speed_m_per_s: float,
-        *,
-        opening_m: float,
-        stop: Callable[[], bool] | None = None,
-        depth_m: float = 0.003,
+        self, to: Destination, *, stop: Callable[[], bool] | None = None, depth_m: float = 0.003
     ) -> Script:
         """Go straight to a place close by.
 
         Raises:
             MotionFailed: If something is in the way, or it is out of reach.
         """
-        corners = np.array([self.start_xyz_m(), goal_xyz_m])
-        way, configurations, touch, why = self.find_way(
-            [corners], yaw_rad, opening_m, speed_m_per_s=speed_m_per_s, depth_m=depth_m
-        )
-        if not len(way.yaw_rad):
-            raise _no_way(goal_xyz_m, touch, why)
-        yield from self.follow(way, configurations, speed_m_per_s, stop)
+        corners = np.array([self.start_xyz_m(), to.position_xyz_m])
+        found = self._router.straight(self._start(), [corners], to, depth_m)
+        if isinstance(found, NoWay):
+            raise _no_way(to.position_xyz_m, found)
+        yield from self.follow(found, to.speed_m_per_s, stop)
 
 
 def _columns(at: Array, known_at: Array, values: Array) -> Array:
@@ -446,18 +356,13 @@ def _columns(at: Array, known_at: Array, values: Array) -> Array:
     return np.column_stack([np.interp(at, known_at, values[:, k]) for k in range(values.shape[1])])
 
 
-def _no_way(goal_xyz_m: Array, touch: Touch | None, why: str | None) -> MotionFailed:
-    x, y, z = goal_xyz_m
-    if touch is not None:
-        return MotionFailed(
-            "path_blocked",
-            f"no free way to ({x:.2f}, {y:.2f}, {z:.2f}) m: {touch.part} would touch {touch.other}",
-            is_blocked=True,
-        )
-    if why is not None:
-        return MotionFailed("out_of_reach", f"({x:.2f}, {y:.2f}, {z:.2f}) m: {why}", is_blocked=True)
-    return MotionFailed(
-        "path_blocked",
-        f"no way to ({x:.2f}, {y:.2f}, {z:.2f}) m that the arm is high enough for",
-        is_blocked=True,
-    )
+def _no_way(goal_xyz_m: Array, found: NoWay) -> MotionFailed:
+    place = "({:.2f}, {:.2f}, {:.2f}) m".format(*goal_xyz_m)
+    if found.touch is not None:
+        problem: MotionProblem = "path_blocked"
+        reason = f"no free way to {place}: {found.touch.part} would touch {found.touch.other}"
+    elif found.why is not None:
+        problem, reason = "out_of_reach", f"{place}: {found.why}"
+    else:
+        problem, reason = "path_blocked", f"no way to {place} that the arm is high enough for"
+    return MotionFailed(problem, reason, is_blocked=True)

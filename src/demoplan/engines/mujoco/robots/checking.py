@@ -1,13 +1,16 @@
-"""Whether a hand can go along a way without touching anything: tried out in the model before it is done.
+"""Whether an arm can go along a way without touching anything: tried out in the model before it is done.
 
-The model is arranged as sensors say, not as it truly is.
+Anything is objects, table and obstacles, the robot's own body, its other arm, and links of the arm itself
+that do not follow each other. The model is arranged as sensors say, not as it truly is.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from demoplan.engines.mujoco.robots.robot import Arm
 from demoplan.geometry import Array
@@ -56,6 +59,7 @@ class Checker:
             model.geom(geom).name or model.body(model.geom_bodyid[geom]).name for geom in range(model.ngeom)
         ]
         self._side = np.zeros(model.ngeom, dtype=np.int64)
+        self._hand_geoms: dict[str, NDArray[np.bool_]] = {}
         self._fingers = {
             name: [int(model.joint(f"{name}:{finger}").qposadr[0]) for finger in ("left", "right")]
             for name in arms
@@ -84,6 +88,7 @@ class Checker:
         others: Sequence[tuple[Arm, Array]] = (),
         hidden: Sequence[int] = (),
         depth_m: float = 0.0015,
+        clearance_m: float = 0.0,
     ) -> Touch | None:
         """The first unwanted contact of an arm, or of what it holds, along its configurations ``(n, d)``.
 
@@ -95,7 +100,14 @@ class Checker:
             others: Arms that move meanwhile, with their configurations ``(n, d)``.
             hidden: Geoms that the robot does not know of.
             depth_m: Contacts that are not deeper than this are within the uncertainty of sensing.
+            clearance_m: Free room that is asked for about arm and load; with it, no depth is forgiven.
         """
+        if clearance_m > 0.0:
+            mine = sorted(arm.geoms) + ([] if held is None else [self._objects[held.object][1]])
+            with self._widened(mine, clearance_m):
+                return self.first_touch(
+                    arm, configurations, opening_m, held, others, hidden, depth_m=-clearance_m
+                )
         model, data, side = self._model, self._data, self._side
         side[:] = 0
         side[list(arm.geoms)] = 1
@@ -126,11 +138,48 @@ class Checker:
             sides = side[pairs]
             # Between mover (1, 2) and anything else (0); what is held may touch its own hand.
             bad = (sides.min(axis=1) == 0) & np.isin(sides.max(axis=1), (1, 2))
+            # Links that follow each other are no pair in the model: any other two of an arm must not meet.
+            bad |= (sides == 1).all(axis=1)
+            bad |= (
+                (sides.min(axis=1) == 1)
+                & (sides.max(axis=1) == 2)
+                & ~self._is_hand_of(arm)[pairs].any(axis=1)
+            )
             bad &= data.contact.dist[: data.ncon] < -depth_m
             if bad.any():
                 first, second = pairs[np.argmax(bad)]
                 if side[first] == 0:
                     first, second = second, first
-                is_hand = any(int(second) in each.geoms for each in self._arms.values())
+                is_hand = side[second] == 0 and any(int(second) in each.geoms for each in self._arms.values())
                 return Touch(at, self.names[first], self.names[second], is_hand)
         return None
+
+    def _is_hand_of(self, arm: Arm) -> NDArray[np.bool_]:
+        """Which geoms may touch what the arm holds ``(ngeom,)``."""
+        if arm.hand not in self._hand_geoms:
+            mask = np.zeros(self._model.ngeom, dtype=bool)
+            mask[list(arm.hand_geoms)] = True
+            self._hand_geoms[arm.hand] = mask
+        return self._hand_geoms[arm.hand]
+
+    @contextmanager
+    def _widened(self, geoms: Sequence[int], clearance_m: float) -> Iterator[None]:
+        """Let contacts of some geoms be found at a distance already."""
+        model = self._model
+        bodies = sorted({int(model.geom_bodyid[geom]) for geom in geoms})
+        kept = model.geom_margin[geoms].copy(), model.body_margin[bodies].copy()
+        model.geom_margin[geoms], model.body_margin[bodies] = clearance_m, clearance_m
+        try:
+            yield
+        finally:
+            model.geom_margin[geoms], model.body_margin[bodies] = kept
+
+    def poses(self, arm: Arm, configurations: Array) -> tuple[Array, Array]:
+        """Where the grasp is in each configuration ``(n, 3)``, and how far it leans ``(n,)`` [rad]."""
+        positions, leans = np.empty((len(configurations), 3)), np.empty(len(configurations))
+        for at, configuration in enumerate(configurations):
+            self._data.qpos[arm.joint_addresses] = configuration
+            mujoco.mj_kinematics(self._model, self._data)
+            positions[at], (_, x, y, _) = arm.pose(self._data)
+            leans[at] = np.arccos(np.clip(1.0 - 2.0 * (x * x + y * y), -1.0, 1.0))
+        return positions, leans

@@ -4,17 +4,21 @@ A gripper floats on three slides and a turntable, each driven with limited force
 against something, and grasps by friction alone.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from demoplan.engines.mujoco.robots.connecting import Space
 from demoplan.engines.mujoco.robots.fingers import FingerParams, Fingers, add_fingers
 from demoplan.engines.mujoco.robots.robot import Arm, Unreachable, lead_steps
 from demoplan.geometry import Array
 
 _JOINTS = ("x", "y", "z", "yaw")
+_SPACING = (0.012, 0.012, 0.012, 0.10)
+"""How densely paths through them are checked [m, rad]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -130,9 +134,12 @@ class GripperArm:
         self._palm = model.body(hand).id
         down = np.array([0.0, 0.0, -params.fingers.grasp_point_m])
         self._fingers = Fingers(model, hand, params.fingers, self._palm, down)
-        self.pads = self._fingers.geoms
-        self.geoms = self.pads | {model.geom(f"{hand}:palm").id}
-        self._commanded = np.append(rest_xyz_m, self.rest_yaw_rad)
+        self.geoms = self.hand_geoms = self._fingers.geoms | {model.geom(f"{hand}:palm").id}
+        self.rest_configuration = np.append(rest_xyz_m, self.rest_yaw_rad)
+        self.space = Space(
+            np.append(self._low, -2 * np.pi), np.append(self._high, 2 * np.pi), np.array(_SPACING)
+        )
+        self._commanded = self.rest_configuration
 
     def configurations(self, start: Array, position_xyz_m: Array, yaw_rad: Array) -> Array:
         """Configurations ``(n, 4)``: the poses themselves, as far as they lie in its space.
@@ -149,6 +156,12 @@ class GripperArm:
         x, y, z = position_xyz_m
         spans = ", ".join(f"{low:.2f} to {high:.2f}" for low, high in zip(self._low, self._high, strict=True))
         return f"({x:.2f}, {y:.2f}, {z:.2f}) m is outside its slides, which span {spans} m"
+
+    def postures(self, position_xyz_m: Array, yaw_rad: float, rng: np.random.Generator) -> Iterator[Array]:
+        """The pose itself, if it lies in its space."""
+        del rng
+        if self.reachable(position_xyz_m) is None:
+            yield np.append(position_xyz_m, yaw_rad)
 
     def reachable(self, position_xyz_m: Array) -> str | None:
         """Why the grasp cannot come there from above; None if it can."""

@@ -4,6 +4,7 @@ The arm has seven joints and the grasp six degrees of freedom; what is left keep
 comfortable one. Between points that are solved, configurations follow a cubic spline.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import daqp  # type: ignore[import-not-found, unused-ignore]  # noqa: F401 - the solver that mink is told to use
@@ -28,8 +29,10 @@ class InverseParams:
     orientation_tolerance_rad: float = 0.005
     n_iterations: int = 12
     """Most steps of differential IK from one point to the next."""
+    n_iterations_afar: int = 25
+    """Most of them from a configuration that may be far off."""
     posture_cost: float = 0.02
-    n_starts: int = 24
+    n_starts: int = 12
     """Random starts where there is no configuration to begin from."""
     widest_step_rad: float = 0.9
     """A joint that turns by more between two neighbouring points has jumped."""
@@ -65,13 +68,20 @@ class Inverse:
         turn = frame.rotation().as_matrix()
         return np.array(frame.translation()), float(np.arctan2(turn[1, 0], turn[0, 0]))
 
-    def solve(self, start: Array, position_xyz_m: Array, yaw_rad: float) -> Array | None:
+    @property
+    def limits(self) -> tuple[Array, Array]:
+        """Lowest and highest configuration, ``(d,)`` each."""
+        return self._low, self._high
+
+    def solve(
+        self, start: Array, position_xyz_m: Array, yaw_rad: float, n_iterations: int | None = None
+    ) -> Array | None:
         """The configuration ``(d,)`` for one pose, found from ``start``; None if there is none near it."""
         p = self._params
         turn = mink.SO3(np.array([np.cos(yaw_rad / 2), 0.0, 0.0, np.sin(yaw_rad / 2)]))
         self._task.set_target(mink.SE3.from_rotation_and_translation(turn, position_xyz_m))
         self._configuration.update(start)
-        for _ in range(p.n_iterations):
+        for _ in range(n_iterations or p.n_iterations):
             error = self._task.compute_error(self._configuration)
             if (
                 np.sqrt(error[:3] @ error[:3]) <= p.position_tolerance_m
@@ -122,12 +132,14 @@ class Inverse:
         spline = CubicSpline(at[rows], np.array(solved), axis=0)
         return np.asarray(np.clip(spline(at), self._low, self._high))
 
-    def anywhere(self, position_xyz_m: Array, yaw_rad: float, seed: int = 0) -> Array | None:
-        """A configuration for a pose, from the comfortable posture or from random ones."""
-        rng = np.random.default_rng(seed)
-        starts = [self.posture, *rng.uniform(self._low, self._high, (self._params.n_starts, len(self._low)))]
-        found = (self.solve(start, position_xyz_m, yaw_rad) for start in starts)
-        solutions = [each for each in found if each is not None]
-        if not solutions:
-            return None
-        return min(solutions, key=lambda each: float(np.abs(each - self.posture).sum()))
+    def postures(
+        self, position_xyz_m: Array, yaw_rad: float, rng: np.random.Generator, near: Array
+    ) -> Iterator[Array]:
+        """Different configurations ``(d,)`` for a pose: from a near one, the comfortable one, random ones."""
+        known: list[Array] = []
+        starts = rng.uniform(self._low, self._high, (self._params.n_starts, len(self._low)))
+        for start in (near, self.posture, *starts):
+            found = self.solve(start, position_xyz_m, yaw_rad, self._params.n_iterations_afar)
+            if found is not None and all(np.abs(found - each).max() > 0.2 for each in known):
+                known.append(found)
+                yield found

@@ -2,13 +2,14 @@
 
 from demoplan.engines.mujoco.robots.gripper import GripperRobot
 from demoplan.engines.mujoco.robots.robot import Robot
+from demoplan.engines.mujoco.scene_spec import SceneSpec
 from demoplan.engines.mujoco.session import ROBOTS
 from demoplan.errors import SimulationError, UnknownNameError
 
 BOTH = ("Left_hand", "Right_hand")
 
 
-def make_robot(name: str) -> Robot:
+def make_robot(name: str, scene: SceneSpec) -> Robot:
     """The robot of a name, to be added to a scene.
 
     Raises:
@@ -20,18 +21,16 @@ def make_robot(name: str) -> Robot:
     if name == "gripper_dual":
         return GripperRobot(BOTH)
     if name in ("tiago", "tiago_dual"):
-        return _make_tiago(("Right_hand",) if name == "tiago" else BOTH)
+        return _make_tiago(scene, ("Right_hand",) if name == "tiago" else BOTH)
     raise UnknownNameError("robot", name, ROBOTS)
 
 
-def _make_tiago(hands: tuple[str, ...]) -> Robot:
+def _make_tiago(scene: SceneSpec, hands: tuple[str, ...]) -> Robot:
     # TIAGo wants packages that the light robot does without.
     try:
-        from demoplan.engines.mujoco.robots.tiago import DUAL_BASE_XY_M, TiagoParams, TiagoRobot  # noqa: PLC0415
+        from demoplan.engines.mujoco.robots.tiago import TiagoRobot  # noqa: PLC0415
     except ModuleNotFoundError as error:
         raise SimulationError(
             f"TIAGo needs {error.name}: install demoplan with the extra 'robot', or use the robot 'gripper'"
         ) from None
-    if len(hands) == 1:
-        return TiagoRobot(hands)
-    return TiagoRobot(hands, TiagoParams(base_xy_m=DUAL_BASE_XY_M))
+    return TiagoRobot(scene, hands)

@@ -12,6 +12,7 @@ import numpy as np
 from demoplan.engines.mujoco.robots.arm_control import ArmControl, MotionFailed, Script
 from demoplan.engines.mujoco.robots.checking import Held
 from demoplan.engines.mujoco.robots.grasps import STEEPEST_TILT_RAD, Grasp, Stance, grasps_of, yaws_on
+from demoplan.engines.mujoco.robots.routing import Destination
 from demoplan.engines.mujoco.session import Motion
 from demoplan.errors import UsageError
 from demoplan.geometry import Array, compose, inverted, multiply, rotate
@@ -74,7 +75,12 @@ def reach(control: ArmControl, motion: Motion) -> Script:
     target = _best(grasp, _grasps(control, stance))
     control.may_touch = frozenset([name])
     yield from control.go_straight(
-        target.position_xyz_m, target.yaw_rad, params.near_speed_m_per_s, opening_m=target.opening_m
+        Destination(
+            position_xyz_m=target.position_xyz_m,
+            yaw_rad=target.yaw_rad,
+            opening_m=target.opening_m,
+            speed_m_per_s=params.near_speed_m_per_s,
+        )
     )
     yield from control.wait(params.settle_s)
     _check_arrival(control, target.position_xyz_m)
@@ -117,19 +123,19 @@ def _approach(control: ArmControl, name: str) -> Generator[None, None, Grasp]:
     failure: MotionFailed | None = None
     grasps = _grasps(control, _stance(control, name))
     # Close to its body an arm cannot raise its hand far: then from half as high.
-    for height, grasp in product((params.approach_m, 0.5 * params.approach_m), grasps):
-        above = grasp.position_xyz_m + np.array([0.0, 0.0, height])
-        script = control.go_over(
-            above,
-            grasp.yaw_rad,
+    heights = (params.approach_m, 0.5 * params.approach_m)
+    for through_joints, height, grasp in product((False, True), heights, grasps):
+        above = Destination(
+            position_xyz_m=grasp.position_xyz_m + np.array([0.0, 0.0, height]),
+            yaw_rad=grasp.yaw_rad,
             opening_m=grasp.opening_m,
             speed_m_per_s=params.speed_m_per_s,
             radius_m=arm.hand_radius_m,
             below_m=arm.finger_reach_m,
-            without=(),
-            tail_xyz_m=(grasp.position_xyz_m,),
-            approach_m=0.0,
+            clearance_m=params.clearance_m,
+            then_xyz_m=(grasp.position_xyz_m,),
         )
+        script = control.go_over(above, through_joints=through_joints)
         try:
             next(script)
         except StopIteration:
@@ -227,10 +233,12 @@ def carry(control: ArmControl, motion: Motion) -> Script:
     control.held = _held(control, name)
     goal, yaw = aim(True)
     down = control.go_straight(
-        goal + np.array([0.0, 0.0, params.place_gap_m]),
-        yaw,
-        params.near_speed_m_per_s,
-        opening_m=control.opening_m(),
+        Destination(
+            position_xyz_m=goal + np.array([0.0, 0.0, params.place_gap_m]),
+            yaw_rad=yaw,
+            opening_m=control.opening_m(),
+            speed_m_per_s=params.near_speed_m_per_s,
+        )
     )
     for script in (down, _lower(control, goal, yaw)):
         for _ in script:
@@ -268,38 +276,39 @@ def _carry_above(
     failure: MotionFailed | None = None
     support_stance = None if control.around.is_surface(support) else control.around.stance(support)
     # Close to its body an arm cannot raise its hand far: then it passes over the place from less high.
-    for spot, height in product(spots[:8], (params.clearance_m, 0.4 * params.clearance_m)):
-        for turn in yaws_on(own, support_stance):
+    heights = (params.clearance_m, 0.4 * params.clearance_m)
+    turns = yaws_on(own, support_stance)
+    for through_joints, spot, height, turn in product((False, True), spots[:8], heights, turns):
 
-            def aim(has_turned: bool, spot: Array | None = spot, turn: float = turn) -> tuple[Array, float]:
-                return _aim(control, motion, name, support, spot, None if has_turned else turn, offset)
+        def aim(has_turned: bool, spot: Array | None = spot, turn: float = turn) -> tuple[Array, float]:
+            return _aim(control, motion, name, support, spot, None if has_turned else turn, offset)
 
-            goal, yaw = aim(False)
+        goal, yaw = aim(False)
+        above = Destination(
+            position_xyz_m=goal + np.array([0.0, 0.0, height]),
+            yaw_rad=yaw,
+            opening_m=control.opening_m(),
+            speed_m_per_s=params.carry_speed_m_per_s,
+            radius_m=max(control.arm.hand_radius_m, own.radius_m),
             # What is carried hangs below the grasp, by as much as it was when it was taken.
-            below = max(control.arm.finger_reach_m, own.height_m / 2 - held.position_xyz_m[2])
-            script = control.go_over(
-                goal + np.array([0.0, 0.0, height]),
-                yaw,
-                opening_m=control.opening_m(),
-                speed_m_per_s=params.carry_speed_m_per_s,
-                radius_m=max(control.arm.hand_radius_m, own.radius_m),
-                below_m=below,
-                without=(name,),
-                tail_xyz_m=(goal + np.array([0.0, 0.0, params.place_gap_m]),),
-                approach_m=0.0,
-            )
-            try:
-                next(script)
-            except StopIteration:
-                return aim
-            except MotionFailed as problem:
-                failure = failure or problem
-                continue
-            yield
-            for _ in script:
-                _require_hold(control, name)
-                yield
+            below_m=max(control.arm.finger_reach_m, own.height_m / 2 - held.position_xyz_m[2]),
+            clearance_m=params.clearance_m,
+            without=(name,),
+            then_xyz_m=(goal + np.array([0.0, 0.0, params.place_gap_m]),),
+        )
+        script = control.go_over(above, through_joints=through_joints)
+        try:
+            next(script)
+        except StopIteration:
             return aim
+        except MotionFailed as problem:
+            failure = failure or problem
+            continue
+        yield
+        for _ in script:
+            _require_hold(control, name)
+            yield
+        return aim
     assert failure is not None
     raise failure
 
@@ -344,7 +353,9 @@ def _lower(control: ArmControl, goal_xyz_m: Array, yaw_rad: float) -> Script:
         return bool(control.position_xyz_m()[2] - control.start_xyz_m()[2] > 0.004)
 
     yield from control.go_straight(
-        below, yaw_rad, 0.04, opening_m=control.opening_m(), stop=has_landed, depth_m=0.008
+        Destination(position_xyz_m=below, yaw_rad=yaw_rad, opening_m=control.opening_m(), speed_m_per_s=0.04),
+        stop=has_landed,
+        depth_m=0.008,
     )
     yield from control.wait(control.params.settle_s)
 
@@ -359,7 +370,12 @@ def lift(control: ArmControl, motion: Motion) -> Script:
     control.may_touch = frozenset([name, *_beneath(control, name)])
     goal = control.start_xyz_m() + np.array([0.0, 0.0, params.approach_m])
     yield from control.go_straight(
-        goal, control.yaw_rad(), params.near_speed_m_per_s, opening_m=control.opening_m()
+        Destination(
+            position_xyz_m=goal,
+            yaw_rad=control.yaw_rad(),
+            opening_m=control.opening_m(),
+            speed_m_per_s=params.near_speed_m_per_s,
+        )
     )
     _require_hold(control, name)
 
@@ -381,13 +397,13 @@ def release(control: ArmControl, motion: Motion) -> Script:
     start = control.start_xyz_m()
     failure: MotionFailed | None = None
     for rise in params.retreat_m * np.array([1.0, 0.6, 0.35, 0.2]):
-        script = control.go_straight(
-            start + np.array([0.0, 0.0, rise]),
-            control.yaw_rad(),
-            2.0 * params.near_speed_m_per_s,
+        up = Destination(
+            position_xyz_m=start + np.array([0.0, 0.0, rise]),
+            yaw_rad=control.yaw_rad(),
             opening_m=opening,
-            depth_m=0.006,
+            speed_m_per_s=2.0 * params.near_speed_m_per_s,
         )
+        script = control.go_straight(up, depth_m=0.006)
         try:
             next(script)
         except StopIteration:
@@ -409,17 +425,17 @@ def rest(control: ArmControl, motion: Motion) -> Script:
     if np.linalg.norm(control.start_xyz_m() - arm.rest_xyz_m) < 0.002:
         yield from control.wait(params.settle_s)
         return
-    below = arm.finger_reach_m if control.held is None else 0.06
-    yield from control.go_over(
-        arm.rest_xyz_m,
-        arm.rest_yaw_rad,
+    home = Destination(
+        position_xyz_m=arm.rest_xyz_m,
+        yaw_rad=arm.rest_yaw_rad,
         opening_m=control.opening_m(),
         speed_m_per_s=params.speed_m_per_s,
         radius_m=arm.hand_radius_m,
-        below_m=below,
+        below_m=arm.finger_reach_m if control.held is None else 0.06,
+        clearance_m=params.clearance_m,
         without=() if control.held is None else (control.held.object,),
-        approach_m=0.0,
     )
+    yield from control.go_home(home)
     yield from control.wait(params.settle_s)
 
 

@@ -4,12 +4,14 @@ Poses of a hand are those of the middle of its grasp: the fingers point along it
 Hands grasp from above, so a pose is a position and a turn about the vertical.
 """
 
+from collections.abc import Iterator
 from typing import Protocol
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from demoplan.engines.mujoco.robots.connecting import Space
 from demoplan.geometry import Array
 
 
@@ -34,14 +36,18 @@ class Arm(Protocol):
     """Radius of the upright cylinder that holds the open hand."""
     highest_m: float
     """Height up to which it makes sense to pass over things."""
+    rest_configuration: Array
+    """The arm's configuration at rest ``(d,)``."""
+    space: Space
+    """Its configurations, and how densely paths are checked."""
     joint_addresses: NDArray[np.intp]
     """Where its configuration stands in ``qpos``."""
     speed_limits: Array
     """Fastest change of each element of its configuration ``(d,)``, per second."""
     geoms: frozenset[int]
     """All of hand and arm."""
-    pads: frozenset[int]
-    """What may touch a thing that is grasped."""
+    hand_geoms: frozenset[int]
+    """Those of the hand: they may touch what it holds."""
 
     def configurations(self, start: Array, position_xyz_m: Array, yaw_rad: Array) -> Array:
         """Configurations ``(n, d)`` along a dense path of the grasp, beginning near ``start`` ``(d,)``.
@@ -55,8 +61,14 @@ class Arm(Protocol):
             Unreachable: If a point has no configuration near the one before.
         """
 
+    def postures(self, position_xyz_m: Array, yaw_rad: float, rng: np.random.Generator) -> Iterator[Array]:
+        """Different configurations ``(d,)`` that bring the upright grasp to a pose, as far as there are."""
+
     def reachable(self, position_xyz_m: Array) -> str | None:
-        """Why the grasp cannot come there from above; None if it can."""
+        """Why the upright grasp cannot come to a position, however turned; None if it can.
+
+        It speaks of the arm alone: what stands about may still be in the way.
+        """
 
     def command(self, data: mujoco.MjData, configuration: Array, closure: float) -> None:
         """Drive towards a configuration ``(d,)``, and the fingers to a closure: 0 open, 1 closed."""
