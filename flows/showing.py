@@ -92,12 +92,15 @@ async def show_stale(rows: pl.DataFrame, cost_s: float) -> None:
     )
 
 
-async def show_links(store: Store, dataset: str, report: Path | None) -> None:
+async def show_links(store: Store, dataset: str, report: str | None) -> None:
     """Where the report and the recordings are."""
     if report is not None:
+        link = report if "://" in report else Path(report).resolve().as_uri()
         await acreate_link_artifact(
-            key=key_of("report", dataset), link=report.resolve().as_uri(), link_text=report.name
+            key=key_of("report", dataset), link=link, link_text=report.rpartition("/")[2]
         )
+    if store.place.path("") is None:
+        return
     recordings = sorted((store.root / "recordings" / dataset).glob("*.rrd"))[:MOST_ROWS]
     if recordings:
         lines = [f"- [{path.stem}](file://{quote(str(path.resolve()))})" for path in recordings]

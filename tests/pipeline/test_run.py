@@ -126,7 +126,7 @@ def test_a_store_remembers_the_dataset_that_it_was_made_from(finished):
 
 def test_the_report_names_every_episode_and_every_domain(finished):
     _, _, result = finished
-    text = result.report.read_text()
+    text = Path(result.report).read_text()
     for state in result.states:
         assert state.episode_id in text
     for learned in result.learned.values():

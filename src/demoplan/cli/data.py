@@ -1,4 +1,4 @@
-"""Commands about data: record, ingest, doctor, tables, view."""
+"""Commands about data: record, ingest, doctor, tables."""
 
 import os
 from pathlib import Path
@@ -38,7 +38,6 @@ def register(app: typer.Typer) -> None:
     app.command()(ingest)
     app.command()(doctor)
     app.command()(tables)
-    app.command()(view)
     app.command()(record)
     app.command()(schemas)
 
@@ -179,7 +178,7 @@ def doctor(
     raise typer.Exit(int(exit_code_of(report)))
 
 
-def _examine(store: Path, *, as_json: bool) -> Exit:
+def _examine(store: str, *, as_json: bool) -> Exit:
     """Print what of this machine stands in the way."""
     from dataclasses import asdict
 
@@ -187,7 +186,7 @@ def _examine(store: Path, *, as_json: bool) -> Exit:
     from demoplan.pipeline.environment import examine as examine_all
 
     with progress("examine", len(CHECKS)) as done:
-        findings = examine_all(Machine(environment=os.environ, store=store.absolute()), done)
+        findings = examine_all(Machine(environment=os.environ, store=Path(store).absolute()), done)
     if as_json:
         print_json([asdict(finding) for finding in findings])
     else:
@@ -197,51 +196,6 @@ def _examine(store: Path, *, as_json: bool) -> Exit:
             [(f.subject, f.severity, f.sentence, f.remedy) for f in findings],
         )
     return Exit.FAILED if any(f.severity == "error" for f in findings) else Exit.FINE
-
-
-def view(
-    episode: Annotated[str, typer.Argument(help="Episode id, or DATASET/EPISODE.")],
-    output: Annotated[
-        Path | None, typer.Option("--output", "-o", metavar="FILE.rrd", help="Save it; open nothing.")
-    ] = None,
-    at: Annotated[
-        float | None,
-        typer.Option(
-            min=0.0, metavar="SECONDS", help="Where the picture's time cursor stands; default: the middle."
-        ),
-    ] = None,
-    png: Annotated[
-        Path | None,
-        typer.Option("--png", metavar="FILE.png", help="Draw it into a picture; needs no screen."),
-    ] = None,
-    url: Annotated[
-        str | None, typer.Option("--connect", metavar="URL", help="Send it to a viewer that is running.")
-    ] = None,
-    store: StoreOption = DEFAULT_STORE,
-) -> None:
-    """Look at an episode in rerun: scene, trails, activities beside the truth, predicates, operators."""
-    from demoplan.pipeline.datasets import recall
-    from demoplan.pipeline.learning import latest_evidence
-    from demoplan.pipeline.viewing import record_view
-    from demoplan.viewers.episode import open_episode, render_episode_png
-
-    opened = existing_store(store)
-    state = opened.manifest.episode(episode)
-    path = output or store / "recordings" / state.dataset / f"{state.episode_id}.rrd"
-    evidence = latest_evidence(opened, state.dataset)
-    record_view(opened, recall(opened, state.dataset), state, path, evidence)
-    say(f"recording written to {path}")
-    if png is not None:
-        render_episode_png(path, png, at_ns=round(at * 1e9) if at is not None else _middle_ns(opened, state))
-        say(f"picture written to {png}")
-    elif output is None:
-        open_episode(path, url=url)
-
-
-def _middle_ns(store: Store, state: EpisodeState) -> int:
-    """The middle of an episode, from its start [ns]."""
-    row = store.get(state.tables["episodes"], Episodes).row(0, named=True)
-    return int(row["end_ns"] - row["start_ns"]) // 2
 
 
 def record(

@@ -8,11 +8,16 @@ import typer
 
 from demoplan.store import Store
 
-DEFAULT_STORE = Path(".demoplan")
+DEFAULT_STORE = ".demoplan"
 
 StoreOption = Annotated[
-    Path,
-    typer.Option("--store", metavar="DIR", help="Folder of the store.", envvar="DEMOPLAN_STORE"),
+    str,
+    typer.Option(
+        "--store",
+        metavar="DIR|URL",
+        help="Where the store is: a folder, or s3://BUCKET/PREFIX.",
+        envvar="DEMOPLAN_STORE",
+    ),
 ]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print the result as JSON on stdout.")]
 RootOption = Annotated[
@@ -28,14 +33,26 @@ def workers_of(asked: int) -> int:
     return asked or len(os.sched_getaffinity(0))
 
 
-def existing_store(folder: Path) -> Store:
-    """The store in a folder that must be there.
+def existing_store(location: str) -> Store:
+    """The store at a place where something was written before.
 
     Raises:
-        typer.BadParameter: If the folder is not there.
+        typer.BadParameter: If nothing was.
+        StoreError: If the place cannot be asked.
     """
-    if not folder.is_dir():
+    store = Store(location)
+    if not store.place.exists():
         raise typer.BadParameter(
-            f"{folder}: no store here; `demoplan run DATASET` makes one", param_hint="--store"
+            f"{location}: no store here; `demoplan run DATASET` makes one", param_hint="--store"
         )
-    return Store(folder)
+    return store
+
+
+def local_folder(store: Store, name: str) -> Path:
+    """A folder for what is made from a store and is of use on this machine: in the store, if that is here.
+
+    Args:
+        store: The store.
+        name: What the folder is called.
+    """
+    return store.place.path(name) or Path(DEFAULT_STORE, name)

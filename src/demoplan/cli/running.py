@@ -15,6 +15,7 @@ from demoplan.cli.options import (
     StoreOption,
     WorkersOption,
     existing_store,
+    local_folder,
     workers_of,
 )
 from demoplan.cli.output import Exit, print_frame, print_json, print_table, progress, say, warn
@@ -140,13 +141,13 @@ def reprocess(
     raise typer.Exit(int(Exit.DATA_LOSS if blocked.height and not dry_run else code))
 
 
-def _recorded(store: Path, opened: "OpenDataset", n_people: int, seed: int) -> "OpenDataset":
+def _recorded(store: str, opened: "OpenDataset", n_people: int, seed: int) -> "OpenDataset":
     """New people who do what the dataset's people did; recorded once for each number and seed."""
     from demoplan.pipeline.datasets import open_dataset
     from demoplan.pipeline.record import record
 
     name = f"fresh-{n_people}-seed-{seed}"
-    folder = store / "fresh" / name
+    folder = local_folder(Store(store), "fresh") / name
     if not (folder / "dataset.yaml").is_file():
         tasks = list(dict.fromkeys(episode.task for episode in opened.dataset.episodes))
         with progress(f"record {n_people} new people", n_people * len(tasks)) as done:

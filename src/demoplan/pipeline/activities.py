@@ -38,9 +38,9 @@ from demoplan.stages.segment import (
     train,
 )
 from demoplan.store import EpisodeState, Store, stage_key
-from demoplan.store.atomic import write_bytes
 from demoplan.store.code_version import code_version
 from demoplan.store.objects import Table
+from demoplan.store.places import AbsentError, open_place
 from demoplan.store.store import canonical_json
 from demoplan.tables import Activities, Confusions, Facts, Frames, Scores
 
@@ -79,11 +79,25 @@ def read_segmenter(path: Path) -> ChosenSegmenter:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise UsageError(f"{path}: cannot be read: {error}") from None
+    return _parsed(text, path.name, str(path.absolute()))
+
+
+def stored_segmenter(store: Store, key: ContentHash) -> ChosenSegmenter | None:
+    """The segmenter that training under that key gave; None if there is none.
+
+    Raises:
+        DataError: If it is not a segmenter.
+    """
+    name = f"segmenters/{key}.json"
+    try:
+        return _parsed(store.place.read(name).decode(), name, name)
+    except AbsentError:
+        return None
+
+
+def _parsed(text: str, method: str, source: str) -> ChosenSegmenter:
     return ChosenSegmenter(
-        segmenter=parse_segmenter(text),
-        method=path.name,
-        content=content_hash(text),
-        source=str(path.absolute()),
+        segmenter=parse_segmenter(text), method=method, content=content_hash(text), source=source
     )
 
 
@@ -111,8 +125,8 @@ def trained(
             f"`--segmenter rules` needs none"
         )
     key = training_key(opened, labelled, params)
-    path = segmenter_path(store, key)
-    if not path.is_file():
+    found = stored_segmenter(store, key)
+    if found is None:
         start = time.perf_counter()
         segmenter = train(
             tables_of(store, labelled, "frames", Frames),
@@ -122,9 +136,11 @@ def trained(
             opened.vocabulary.types,
             params=params,
         )
-        write_bytes(path, render_segmenter(segmenter).encode())
+        store.place.write(f"segmenters/{key}.json", render_segmenter(segmenter).encode())
         store.timings.note("train", key, time.perf_counter() - start)
-    return replace(read_segmenter(path), method=params.method)
+        found = stored_segmenter(store, key)
+        assert found is not None
+    return replace(found, method=params.method)
 
 
 def training_key(opened: OpenDataset, states: Iterable[EpisodeState], params: TrainParams) -> ContentHash:
@@ -144,11 +160,6 @@ def training_key(opened: OpenDataset, states: Iterable[EpisodeState], params: Tr
         }
     )
     return stage_key("train", inputs, settings, version)
-
-
-def segmenter_path(store: Store, key: ContentHash) -> Path:
-    """Where the store keeps the segmenter of that key."""
-    return store.root / "segmenters" / f"{key}.json"
 
 
 def entity_types(opened: OpenDataset) -> dict[str, str]:
@@ -344,7 +355,8 @@ def segment_group(order: SegmentOrder) -> list[EpisodeState]:
     """
     keep_memory()
     store = Store(order.store)
-    chosen, setting = _segmenter_of(order.segmenter, order.content), setting_of(order.store, order.setting)
+    chosen = _segmenter_of(order.store, order.segmenter, order.content)
+    setting = setting_of(order.store, order.setting)
     recipe = SegmentRecipe(entities=setting.entities, types=setting.vocabulary.types, params=order.params)
     with store.together():
         found = []
@@ -362,8 +374,13 @@ def segment_group(order: SegmentOrder) -> list[EpisodeState]:
 
 
 @functools.lru_cache(maxsize=32)
-def _segmenter_of(source: str, content: str) -> ChosenSegmenter:
-    chosen = rules(source) if source in RULE_TREES else read_segmenter(Path(source))
+def _segmenter_of(store: str, source: str, content: str) -> ChosenSegmenter:
+    if source in RULE_TREES:
+        chosen = rules(source)
+    elif Path(source).is_absolute():
+        chosen = read_segmenter(Path(source))
+    else:
+        chosen = _parsed(open_place(store).read(source).decode(), source, source)
     if chosen.content != content:
         raise StoreError(f"{source}: is not the segmenter that was chosen; it has changed: run again")
     return chosen

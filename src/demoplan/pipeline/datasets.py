@@ -3,7 +3,7 @@
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 from demoplan.errors import StoreError, UnknownNameError, UsageError
 from demoplan.ids import is_safe_name
@@ -11,7 +11,7 @@ from demoplan.language.vocabulary import Vocabulary
 from demoplan.manifests.dataset import Dataset, Episode, parse_dataset
 from demoplan.manifests.vocabulary import parse_vocabulary
 from demoplan.store import Store
-from demoplan.store.atomic import write_bytes
+from demoplan.store.places import AbsentError
 
 MANIFEST_NAME = "dataset.yaml"
 
@@ -124,25 +124,31 @@ def remember(opened: OpenDataset, store: Store, *, segmenter: str | None = None)
         "parsed": opened.dataset.model_dump_json(),
         "vocabulary": opened.vocabulary_text,
     }
-    write_bytes(
-        store.root / "datasets" / f"{opened.dataset.name}.json",
+    store.place.write(
+        _kept_name(opened.dataset.name),
         (json.dumps(kept, sort_keys=True, indent=1) + "\n").encode(),
     )
 
 
 def remembered(store: Store) -> list[str]:
     """Names of the datasets that the store has seen, sorted."""
-    return sorted(path.stem for path in (store.root / "datasets").glob("*.json") if is_safe_name(path.stem))
+    paths = (PurePosixPath(name) for name in store.place.names("datasets"))
+    return sorted(path.stem for path in paths if path.suffix == ".json" and is_safe_name(path.stem))
+
+
+def _kept_name(dataset: str) -> str:
+    """What the store keeps of a dataset is called so."""
+    return f"datasets/{dataset}.json"
 
 
 def segmenter_of(store: Store, name: str) -> str | None:
     """What a dataset's activities were last found with; None if the store does not know."""
-    path = store.root / "datasets" / f"{name}.json"
-    if not path.is_file():
-        return None
     try:
-        segmenter = json.loads(path.read_text(encoding="utf-8")).get("segmenter")
-    except (OSError, ValueError, AttributeError) as error:
+        segmenter = json.loads(store.place.read(_kept_name(name))).get("segmenter")
+    except AbsentError:
+        return None
+    except (ValueError, AttributeError) as error:
+        path = f"{store.location}/{_kept_name(name)}"
         raise StoreError(f"{path}: cannot be read: {error}; ingest the dataset again") from None
     return None if segmenter is None else str(segmenter)
 
@@ -176,16 +182,16 @@ def recall(store: Store, name: str) -> OpenDataset:
         UnknownNameError: If the store has not seen it.
         StoreError: If what was kept cannot be read.
     """
-    path = store.root / "datasets" / f"{name}.json"
-    if not is_safe_name(name) or not path.is_file():
-        known = [p.stem for p in path.parent.glob("*.json")]
-        raise UnknownNameError("dataset", name, known, where=f"store {store.root}")
+    known = remembered(store)
+    if name not in known:
+        raise UnknownNameError("dataset", name, known, where=f"store {store.location}")
     try:
-        kept = json.loads(path.read_text(encoding="utf-8"))
+        kept = json.loads(store.place.read(_kept_name(name)))
         folder = Path(kept["folder"])
         dataset = _parsed(kept, folder)
         vocabulary = parse_vocabulary(kept["vocabulary"], folder / dataset.vocabulary)
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (ValueError, KeyError, TypeError) as error:
+        path = f"{store.location}/{_kept_name(name)}"
         raise StoreError(f"{path}: cannot be read: {error}; ingest the dataset again") from None
     return OpenDataset(
         dataset=dataset,

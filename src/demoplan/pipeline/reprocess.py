@@ -8,7 +8,6 @@ import polars as pl
 
 from demoplan.language.diff import Change
 from demoplan.pipeline.activities import (
-    ChosenSegmenter,
     read_segmenter,
     segment_episodes,
     trained,
@@ -19,6 +18,7 @@ from demoplan.pipeline.datasets import remember
 from demoplan.pipeline.ingest import ingest
 from demoplan.pipeline.learning import Learned, changes_between, learn_domain, stored_domain
 from demoplan.pipeline.reporting import Progress, silent
+from demoplan.pipeline.segment_stages import ChosenSegmenter
 from demoplan.pipeline.staleness import DatasetPlan, Staleness, StalePlan
 from demoplan.store import EpisodeState, Store
 

@@ -12,7 +12,6 @@ from demoplan.pipeline.activities import (
     MAJORITY,
     METHODS,
     RULE_TREES,
-    ChosenSegmenter,
     groups_of,
     read_segmenter,
     rules,
@@ -27,12 +26,12 @@ from demoplan.pipeline.datasets import OpenDataset, remember
 from demoplan.pipeline.ingest import ingest, jobs_of
 from demoplan.pipeline.learning import Learned
 from demoplan.pipeline.reporting import Progress, silent
+from demoplan.pipeline.segment_stages import ChosenSegmenter
 from demoplan.pipeline.study import COMBINED, Tried, learn_all, try_goals
 from demoplan.stages.score import confusion, majority_activities, score_segmentation
 from demoplan.stages.score_plans import score_plans
 from demoplan.stages.segment import RULE_ACTIVITIES, Segmenter, TrainParams
 from demoplan.store import EpisodeState, Store
-from demoplan.store.atomic import write_bytes
 from demoplan.tables import Activities, Confusions, Episodes, Plans, Scores, Topics
 from demoplan.viewers.report import (
     Confusion,
@@ -76,7 +75,8 @@ class RunResult:
     scores: dy.DataFrame[Scores]
     confusions: dy.DataFrame[Confusions]
     method: str
-    report: Path
+    report: str
+    """Where the report is: a path, or a URL below that of the store."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -153,8 +153,8 @@ def run(
     ]
     scores = _joined(scores, score_plans(trials, main.method))
     store.snapshots.take(store.manifest.episodes(), f"run {opened.dataset.name}")
-    path = store.root / "reports" / f"{opened.dataset.name}.html"
-    write_bytes(path, _report(main, parts, store, scores, confusions).encode())
+    report = f"reports/{opened.dataset.name}.html"
+    store.place.write(report, _report(main, parts, store, scores, confusions).encode())
     return RunResult(
         states=tuple(state for part in parts for state in part.states),
         learned=main.learned,
@@ -162,7 +162,7 @@ def run(
         scores=scores,
         confusions=confusions,
         method=main.method,
-        report=path,
+        report=f"{store.location}/{report}",
     )
 
 

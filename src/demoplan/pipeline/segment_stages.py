@@ -35,7 +35,7 @@ class ChosenSegmenter:
     content: str
     """Hash of what it is."""
     source: str
-    """Where another process finds it: the name of a rule tree, or a path."""
+    """Where another process finds it: the name of a rule tree, an absolute path, or a name in the store."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -12,7 +12,7 @@ from demoplan.ids import ContentHash
 from demoplan.pipeline.activities import (
     read_segmenter,
     recipe_of,
-    segmenter_path,
+    stored_segmenter,
     training_key,
     training_of,
     usable,
@@ -292,9 +292,9 @@ class _DatasetWalk:
         by_group: dict[str, ChosenSegmenter] = {}
         waiting: dict[str, str] = {}
         for group, others in training.sets.items():
-            path = segmenter_path(self.store, training_key(self.opened, others, training.params))
-            if path.is_file():
-                by_group[group] = read_segmenter(path)
+            found = stored_segmenter(self.store, training_key(self.opened, others, training.params))
+            if found is not None:
+                by_group[group] = found
                 continue
             # Whatever is pending has no segmenter yet; one that is not found must be trained.
             by_group[group] = replace(_ABSENT, method=training.params.method)

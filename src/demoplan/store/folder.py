@@ -1,7 +1,9 @@
 """A place in a folder of the local file system."""
 
 import contextlib
+import ctypes
 import os
+import sys
 import threading
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -16,6 +18,8 @@ from demoplan.store.places import SET_ASIDE, AbsentError, Entry, Place
 
 _FLUSHERS = 8
 """Files that are made durable at once: each waits for the disk, hardly any for the processor."""
+_MANY = 24
+"""From so many files on, the whole file system is made durable instead of each of them."""
 
 LOCK_SUFFIX = ".lock"
 
@@ -31,6 +35,10 @@ class Folder(Place):
         self.location = str(root)
         self._pending: set[Path] | None = None
         self._mutex = threading.Lock()
+
+    @override
+    def exists(self) -> bool:
+        return self.root.is_dir()
 
     @override
     def read(self, name: str) -> bytes:
@@ -183,7 +191,7 @@ class Folder(Place):
             if is_outermost:
                 with self._mutex:
                     pending, self._pending = self._pending or set(), None
-                _flush_all(pending)
+                _flush_all(self.root, pending)
 
     @contextlib.contextmanager
     def _reading(self, name: str) -> Iterator[None]:
@@ -215,10 +223,27 @@ def _entry(name: str, status: os.stat_result) -> Entry:
     return Entry(name=name, n_bytes=status.st_size, modified_s=status.st_mtime)
 
 
-def _flush_all(paths: Iterable[Path]) -> None:
+def _flush_all(root: Path, paths: Iterable[Path]) -> None:
     ordered = sorted(paths)
-    if len(ordered) <= 1:
-        flush(ordered)
+    if len(ordered) >= _MANY and _flush_file_system(root):
         return
     with ThreadPoolExecutor(_FLUSHERS) as pool:
         list(pool.map(lambda path: flush([path]), ordered))
+
+
+def _flush_file_system(root: Path) -> bool:
+    """Make everything on a file system durable with one wait; say whether the system can do that.
+
+    Source: syncfs(2), Linux man-pages.
+    """
+    syncfs = getattr(ctypes.CDLL(None, use_errno=True), "syncfs", None) if sys.platform == "linux" else None
+    if syncfs is None:
+        return False
+    descriptor = os.open(root, os.O_RDONLY)
+    try:
+        if syncfs(descriptor) == 0:
+            return True
+        number = ctypes.get_errno()
+    finally:
+        os.close(descriptor)
+    raise StoreError(f"cannot write into {root}: {os.strerror(number)}")

@@ -42,6 +42,9 @@ class Place(Protocol):
     least_grace_s: float
     """What is younger than this may be about to be named by another writer, and may not be swept [s]."""
 
+    def exists(self) -> bool:
+        """Whether anything was ever written here."""
+
     def read(self, name: str) -> bytes:
         """The content of that name.
 
@@ -118,8 +121,13 @@ def open_place(location: str | Path) -> Place:
         StoreError: If the URL is of an unknown kind, or what a bucket needs is not installed.
     """
     text = str(location)
+    # Either implements what is declared here; a bucket needs an extra.
+    if text.startswith(BUCKET_SCHEME):
+        from demoplan.store.bucket import Bucket  # noqa: PLC0415
+
+        return Bucket(text)
     if "://" in text:
-        raise StoreError(f"{text}: unknown kind of store; known: a folder")
-    from demoplan.store.folder import Folder  # noqa: PLC0415 - it implements what is declared here
+        raise StoreError(f"{text}: unknown kind of store; known: a folder, {BUCKET_SCHEME}BUCKET/PREFIX")
+    from demoplan.store.folder import Folder  # noqa: PLC0415
 
     return Folder(Path(location))
