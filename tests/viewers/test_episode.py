@@ -20,7 +20,7 @@ from demoplan.viewers import rerun_adapter
 from demoplan.viewers.compose import compose_episode
 from demoplan.viewers.episode import open_episode, render_episode_png, save_episode
 from demoplan.viewers.episode_view import Entity, Threshold
-from demoplan.viewers.lanes import fact_lanes_of
+from demoplan.viewers.lanes import fact_lanes_of, relation_lanes_of
 from demoplan.viewers.sources import EpisodeTables, entities_of, thresholds_of
 
 EPISODE = "p1-two-both"
@@ -63,10 +63,10 @@ def test_the_recording_is_the_episodes_and_brings_its_layout(recording):
 
 def test_every_hand_has_lanes_inferred_above_true_above_operators(recording):
     rows = rerun_adapter.viewer_paths(recording)
-    assert [p for p in sorted(rows) if p.startswith("/hands/Right_hand")] == [
-        "/hands/Right_hand/1_inferred",
-        "/hands/Right_hand/2_true",
-        "/hands/Right_hand/3_operator",
+    assert [p for p in sorted(rows) if p.startswith("/Right_hand")] == [
+        "/Right_hand/activity",
+        "/Right_hand/activity_true",
+        "/Right_hand/operator",
     ]
 
 
@@ -74,13 +74,15 @@ def test_an_activity_lane_changes_state_once_per_activity_and_ends_with_the_epis
     rows = rerun_adapter.viewer_paths(recording)
     for hand in ("Left_hand", "Right_hand"):
         n = activities.filter(pl.col("hand") == hand).height
-        assert rows[f"/hands/{hand}/1_inferred"] == n + 1
+        assert rows[f"/{hand}/activity"] == n + 1
 
 
 def test_every_atom_that_ever_held_or_was_unknown_has_a_lane_and_no_other(recording, facts):
-    expected = {"/".join(("/facts", row["predicate"], *row["arguments"])) for row in facts.to_dicts()}
+    expected = {"/".join(("", row["predicate"], *row["arguments"])) for row in facts.to_dicts()}
+    predicates = tuple(f"/{name}/" for name in facts["predicate"].unique())
+    relations = {"/".join(("", *lane.path)) for lane in relation_lanes_of(facts)}
     rows = rerun_adapter.viewer_paths(recording)
-    assert {p for p in rows if p.startswith("/facts/")} == expected
+    assert {p for p in rows if p.startswith(predicates)} == expected | relations
 
 
 def test_poses_are_sent_where_they_were_seen_only(recording):
@@ -148,7 +150,7 @@ def test_frames_alone_are_enough(frames, tmp_path):
     path = save_episode(tmp_path / "bare.rrd", EpisodeTables(episode_id=EPISODE, frames=frames, entities=()))
     rows = rerun_adapter.viewer_paths(path)
     assert "/world/objects/cube_red" in rows
-    assert not [p for p in rows if p.startswith(("/facts", "/hands/"))]
+    assert all(p.startswith(("/world", "/signals", "/__properties")) for p in rows)
 
 
 def test_names_from_logs_cannot_climb_into_other_entities(frames, tmp_path):

@@ -178,7 +178,7 @@ def doctor(
     raise typer.Exit(int(exit_code_of(report)))
 
 
-def _examine(store: str, *, as_json: bool) -> Exit:
+def _examine(store: Path, *, as_json: bool) -> Exit:
     """Print what of this machine stands in the way."""
     from dataclasses import asdict
 
@@ -186,7 +186,7 @@ def _examine(store: str, *, as_json: bool) -> Exit:
     from demoplan.pipeline.environment import examine as examine_all
 
     with progress("examine", len(CHECKS)) as done:
-        findings = examine_all(Machine(environment=os.environ, store=Path(store).absolute()), done)
+        findings = examine_all(Machine(environment=os.environ, store=store.absolute()), done)
     if as_json:
         print_json([asdict(finding) for finding in findings])
     else:

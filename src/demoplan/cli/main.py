@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 import demoplan
-from demoplan.cli import data, domains, execution, exporting, planning, running, store
+from demoplan.cli import data, domains, execution, exporting, planning, running, store, viewing
 from demoplan.cli.output import Exit, fail, stderr
 from demoplan.errors import DemoplanError, UsageError
 
@@ -25,6 +25,7 @@ domains.register(app)
 planning.register(app)
 execution.register(app)
 store.register(app)
+viewing.register(app)
 exporting.register(app)
 
 

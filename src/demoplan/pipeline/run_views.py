@@ -6,6 +6,7 @@ import dataframely as dy
 import polars as pl
 
 from demoplan.engines.mujoco.scene_spec import SceneSpec
+from demoplan.ids import content_hash
 from demoplan.language.vocabulary import Vocabulary
 from demoplan.manifests.mapping import Mapping
 from demoplan.pipeline.evaluate import Evaluation
@@ -13,45 +14,72 @@ from demoplan.pipeline.senses import entities_of_scene, with_fixed
 from demoplan.stages.perceive import perceive
 from demoplan.stages.score_runs import fault_confusion, score_runs
 from demoplan.store import Store
-from demoplan.tables import Activities, Evidence, Executions, Frames
+from demoplan.store.store import canonical_json
+from demoplan.tables import Executions, Frames, Runs
 from demoplan.viewers.episode import save_episode
 from demoplan.viewers.report.execution import render_execution_report
-from demoplan.viewers.sources import EpisodeTables, entities_of, thresholds_of
+from demoplan.viewers.sources import EpisodeTables, EpisodeViewParams, entities_of, thresholds_of
+
+UNNAMED = "run"
+"""Key of a run that was not made as part of a batch."""
 
 
 def record_run(
-    frames: pl.DataFrame,
+    run: dy.DataFrame[Runs],
     steps: dy.DataFrame[Executions],
-    scene: SceneSpec,
+    frames: pl.DataFrame | None,
+    scene: SceneSpec | None,
     vocabulary: Vocabulary,
     output: Path,
+    params: EpisodeViewParams | None = None,
 ) -> Path:
-    """Write the recording of a run: scene, trails, predicates, and the steps of the plans per hand.
+    """Write the recording of a run: scene, trails, predicates, plans, the steps of each hand, and diagnoses.
 
     Args:
-        frames: What sensors saw, as rows of ``Frames`` of one run.
-        steps: The run's steps. What went wrong with one stands beside it.
-        scene: Shapes of what is there.
+        run: Its row.
+        steps: Its steps. What went wrong with one stands beside it.
+        frames: What sensors saw, as rows of ``Frames`` of one run; null if that was not kept.
+        scene: Shapes of what is there; without it, nothing is drawn but lanes.
         vocabulary: What perception looks for.
         output: Where the recording goes, ``….rrd``.
+        params: Choices of the view.
+
+    Raises:
+        UnknownNameError: If nothing was dispatched and no frames were kept.
     """
-    hands = tuple(sorted(set(steps["hand"].drop_nulls())))
-    entities = entities_of_scene(scene, hands)
-    known = frames.filter(pl.col("entity").is_in(list(entities)))
-    whole = Frames.validate(with_fixed(known, entities), cast=True)
-    episode = str(whole["episode_id"][0])
-    return save_episode(
-        output,
-        EpisodeTables(
-            episode_id=episode,
+    name = _name_of(run, steps)
+    tables = EpisodeTables(
+        episode_id=name, frames=Frames.create_empty(), entities=(), run=_named(run, name), steps=steps
+    )
+    if frames is not None and scene is not None and not frames.is_empty():
+        hands = tuple(sorted(set(steps["hand"].drop_nulls())))
+        entities = entities_of_scene(scene, hands)
+        known = frames.filter(pl.col("entity").is_in(list(entities)))
+        whole = Frames.validate(
+            with_fixed(known.with_columns(pl.lit(name).alias("episode_id")), entities), cast=True
+        )
+        tables = EpisodeTables(
+            episode_id=name,
             frames=whole,
             entities=entities_of(Mapping(entities=entities, topics={}), vocabulary),
             facts=perceive(whole, entities, vocabulary),
-            activities=_activities(steps, episode),
-            evidence=_evidence(steps, episode),
             thresholds=thresholds_of(vocabulary),
-        ),
-    )
+            run=tables.run,
+            steps=steps,
+        )
+    return save_episode(output, tables, params)
+
+
+def _name_of(run: dy.DataFrame[Runs], steps: dy.DataFrame[Executions]) -> str:
+    """The run's id; one made of what it did if it has none, so that no two recordings share one."""
+    row = run.row(0, named=True)
+    if row["run_id"] != UNNAMED:
+        return str(row["run_id"])
+    return content_hash(canonical_json(row), canonical_json(steps.to_dicts()))[:32]
+
+
+def _named(run: dy.DataFrame[Runs], name: str) -> dy.DataFrame[Runs]:
+    return Runs.validate(run.with_columns(pl.lit(name).alias("run_id")))
 
 
 def record_runs(store: Store, evaluation: Evaluation, vocabulary: Vocabulary, folder: Path) -> list[Path]:
@@ -61,7 +89,7 @@ def record_runs(store: Store, evaluation: Evaluation, vocabulary: Vocabulary, fo
         if record.frames is not None:
             frames = store.get(record.frames, Frames)
             path = folder / f"{record.job.run_id}.rrd"
-            written.append(record_run(frames, record.steps, record.job.scene, vocabulary, path))
+            written.append(record_run(record.run, record.steps, frames, record.job.scene, vocabulary, path))
     return written
 
 
@@ -74,43 +102,3 @@ def execution_report(evaluation: Evaluation, *, title: str) -> str:
         score_runs(evaluation.runs),
         fault_confusion(evaluation.runs),
     )
-
-
-def _run(steps: pl.DataFrame) -> pl.DataFrame:
-    return steps.filter(
-        pl.col("hand").is_not_null()
-        & pl.col("start_ns").is_not_null()
-        & (pl.col("end_ns") > pl.col("start_ns"))
-    ).sort("start_ns")
-
-
-def _activities(steps: pl.DataFrame, episode: str) -> dy.DataFrame[Activities]:
-    """What each hand was told to do, and when."""
-    thing = pl.col("arguments").list.get(1, null_on_oob=True)
-    table = _run(steps).select(
-        pl.lit(episode).alias("episode_id"),
-        "hand",
-        "start_ns",
-        "end_ns",
-        "activity",
-        thing.alias("acted_on"),
-        pl.lit(None, dtype=pl.String).alias("in_hand"),
-    )
-    return Activities.validate(table.unique(Activities.primary_key()).sort("hand", "start_ns"))
-
-
-def _evidence(steps: pl.DataFrame, episode: str) -> dy.DataFrame[Evidence]:
-    """Steps in the form in which a view shows operators; what was not as expected is said beside them."""
-    cause = pl.when(pl.col("failure").is_not_null()).then(
-        pl.concat_list(pl.format("{}: {}", pl.col("failure").cast(pl.String), pl.col("cause")))
-    )
-    table = _run(steps).select(
-        "operator",
-        pl.lit(episode).alias("episode_id"),
-        "hand",
-        "start_ns",
-        "end_ns",
-        pl.col("arguments").alias("binding"),
-        cause.otherwise(pl.col("missing")).alias("contradicts"),
-    )
-    return Evidence.validate(table.unique(Evidence.primary_key()).sort("operator", "start_ns"))

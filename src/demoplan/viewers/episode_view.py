@@ -73,6 +73,18 @@ class Segments:
     lines_xyz_m: Array
     """``(sum(counts), 2, 3)`` end points, tick after tick."""
 
+    @classmethod
+    def none(cls) -> "Segments":
+        """No lines at all."""
+        nothing = np.zeros(0, np.int64)
+        return cls(
+            name="none",
+            colour=(255, 255, 255),
+            ticks_ns=nothing,
+            counts=nothing,
+            lines_xyz_m=np.zeros((0, 2, 3)),
+        )
+
 
 @dataclass(frozen=True, kw_only=True)
 class Lane:
@@ -119,14 +131,29 @@ class Note:
     tick_ns: int
     text: str
     colour: Rgb
+    level: str = "INFO"
+    """``INFO``, ``WARN`` or ``ERROR``."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Log:
+    """Lines of text along the time axis, in order."""
+
+    name: str
+    title: str
+    notes: tuple[Note, ...]
 
 
 @dataclass(frozen=True, kw_only=True)
 class EpisodeView:
-    """Everything that a person wants to see of one episode."""
+    """Everything that a person wants to see of one episode, or of one execution."""
 
     episode_id: str
+    kind: str
+    """``demonstration`` or ``execution``: views of one kind share their layout."""
     title: str
+    properties: tuple[tuple[str, str | int | float | bool], ...]
+    """What recordings are found by, as name and value; what is not known is not there."""
     start_ns: int
     end_ns: int
     bodies: tuple[Body, ...]
@@ -134,10 +161,15 @@ class EpisodeView:
     trail_ns: int
     """How far back a trail shows [ns]."""
     contacts: Segments
+    plan_lanes: tuple[Lane, ...]
+    """What plan was followed, and what went wrong with it."""
     hand_lanes: tuple[Lane, ...]
+    relation_lanes: tuple[Lane, ...]
+    """Per predicate and first argument: what the second one is."""
     fact_lanes: tuple[Lane, ...]
+    """Per atom: whether it holds."""
     charts: tuple[Chart, ...]
-    notes: tuple[Note, ...]
+    logs: tuple[Log, ...]
     document: str
     """Markdown: what this episode is."""
     focus_xyz_m: tuple[float, float, float]

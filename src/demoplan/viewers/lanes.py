@@ -1,6 +1,7 @@
 """Activities, facts, evidence and signals to lanes, charts and notes along the time axis."""
 
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import polars as pl
@@ -13,7 +14,7 @@ from demoplan.viewers.scene import columns_of
 from demoplan.viewers.sources import EpisodeViewParams
 
 
-def _lane(
+def lane_of(
     path: tuple[str, ...],
     spans: Iterable[tuple[int, int, str]],
     colour_by_state: dict[str, colours.Rgb],
@@ -48,14 +49,15 @@ def _lane(
 def hand_lanes_of(
     activities: pl.DataFrame | None, truth: pl.DataFrame | None, evidence: pl.DataFrame | None
 ) -> tuple[Lane, ...]:
-    """Per hand: what was inferred, beneath it what is true, beneath that the operators that matched."""
+    """Per hand: what was inferred, what is true, and the operators that matched."""
     lanes = []
     hands: set[str] = set()
     for table in (activities, truth, evidence):
         if table is not None:
             hands |= set(table["hand"].unique())
     for hand in sorted(hands):
-        for title, table in (("1_inferred", activities), ("2_true", truth)):
+        # The viewer sorts lanes by name: what is true comes to stand below what was inferred.
+        for title, table in (("activity", activities), ("activity_true", truth)):
             if table is None:
                 continue
             rows = table.filter(pl.col("hand") == hand).sort("start_ns")
@@ -67,7 +69,7 @@ def hand_lanes_of(
             ]
             if shown:
                 by_state = {state: colours.activity_colour(name) for *_, state, name in shown}
-                lanes.append(_lane((hand, title), ((s, e, state) for s, e, state, _ in shown), by_state))
+                lanes.append(lane_of((hand, title), ((s, e, state) for s, e, state, _ in shown), by_state))
         if evidence is not None:
             rows = evidence.filter(pl.col("hand") == hand).sort("start_ns", "operator")
             # One activity may support an operator and its quarantined sibling: the first by name is shown.
@@ -75,7 +77,7 @@ def hand_lanes_of(
             if not rows.is_empty():
                 spans = list(zip(rows["start_ns"], rows["end_ns"], rows["operator"], strict=True))
                 by_state = {name: colours.operator_colour(name) for name in rows["operator"].unique()}
-                lanes.append(_lane((hand, "3_operator"), spans, by_state))
+                lanes.append(lane_of((hand, "operator"), spans, by_state))
     return tuple(lanes)
 
 
@@ -90,8 +92,73 @@ def fact_lanes_of(facts: pl.DataFrame | None) -> tuple[Lane, ...]:
         spans = zip(part["start_ns"], part["end_ns"], part["value"].cast(pl.String), strict=True)
         path = (str(predicate), *map(str, arguments))
         # The lane is named after its atom: a stretch of colour says enough, one without sight says so.
-        lanes.append(_lane(path, spans, by_state, {"true": " ", "unknown": "not observed"}))
+        lanes.append(lane_of(path, spans, by_state, {"true": " ", "unknown": "not observed"}))
     return tuple(lanes)
+
+
+def relation_lanes_of(facts: pl.DataFrame | None) -> tuple[Lane, ...]:
+    """Per binary predicate and first argument, what the second one is: what lies on what, who holds what.
+
+    Only of predicates that relate a thing to at most one other at a time, as ``onTop`` does, since one lane
+    can show no more; if there are none, of all binary ones, with all their second arguments.
+    """
+    if facts is None:
+        return ()
+    pairs = facts.filter(pl.col("arguments").list.len() == 2).sort("predicate", "arguments", "start_ns")
+    spans: dict[tuple[str, str], list[_Span]] = {}
+    crowded: set[str] = set()
+    keys = pl.col("arguments").list.first().alias("first")
+    for (predicate, first), part in pairs.group_by("predicate", keys, maintain_order=True):
+        found = list(_together(part))
+        spans[str(predicate), str(first)] = found
+        if any(len(span.true) > 1 for span in found):
+            crowded.add(str(predicate))
+    shown = {key: found for key, found in spans.items() if key[0] not in crowded} or spans
+    lanes = []
+    for (predicate, first), found in shown.items():
+        colour_by_state = {span.text: span.colour(predicate) for span in found}
+        lanes.append(
+            lane_of((predicate, first), ((s.start_ns, s.end_ns, s.text) for s in found), colour_by_state)
+        )
+    return tuple(lanes)
+
+
+@dataclass(frozen=True)
+class _Span:
+    """For how long some things were related, and some might have been."""
+
+    start_ns: int
+    end_ns: int
+    true: tuple[str, ...]
+    unknown: tuple[str, ...]
+
+    @property
+    def text(self) -> str:
+        """The things' names."""
+        unseen = f"not observed: {', '.join(self.unknown)}" if self.unknown else ""
+        return "; ".join(filter(None, (", ".join(self.true), unseen)))
+
+    def colour(self, predicate: str) -> colours.Rgb:
+        """That of the one thing, if it is one."""
+        if not self.true:
+            return colours.UNKNOWN
+        return colours.entity_colour(self.true[0]) if len(self.true) == 1 else colours.colour_of(predicate)
+
+
+def _together(facts: pl.DataFrame) -> Iterable[_Span]:
+    """Stretches in which the set of second arguments is the same, in order; none where it is empty."""
+    seconds = [str(arguments[1]) for arguments in facts["arguments"].to_list()]
+    rows = list(zip(facts["start_ns"], facts["end_ns"], facts["value"].cast(pl.String), seconds, strict=True))
+    begins = [(start, 1, value, second) for start, _, value, second in rows]
+    ends = [(end, 0, value, second) for _, end, value, second in rows]
+    active: dict[str, set[str]] = {"true": set(), "unknown": set()}
+    since = 0
+    # What ends at an instant goes before what begins there.
+    for tick, is_begin, value, second in sorted(begins + ends):
+        if tick > since and (active["true"] or active["unknown"]):
+            yield _Span(since, tick, tuple(sorted(active["true"])), tuple(sorted(active["unknown"])))
+        since = tick
+        (active[value].add if is_begin else active[value].discard)(second)
 
 
 def charts_of(

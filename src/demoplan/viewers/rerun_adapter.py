@@ -26,8 +26,11 @@ from rerun.experimental import ViewerClient
 from demoplan.errors import DemoplanError
 from demoplan.viewers.episode_view import Body, Chart, EpisodeView, Lane, Segments, Ticks
 
-APPLICATION = "demoplan"
-"""Recordings of one application share their layout in the viewer."""
+APPLICATIONS = {"demonstration": "demoplan", "execution": "demoplan-execution"}
+"""Kind of view → application: recordings of one application share their layout in the viewer."""
+
+PROPERTIES = "episode"
+"""Recording property under which a catalog finds what an episode or execution is."""
 
 EPISODE_TIMELINE = "episode"
 CLOCK_TIMELINE = "clock"
@@ -52,7 +55,7 @@ def write_recording(view: EpisodeView, path: Path) -> None:
     rr.set_strict_mode(True)
     try:
         with rr.RecordingStream(
-            APPLICATION, recording_id=view.episode_id, send_properties=False
+            APPLICATIONS[view.kind], recording_id=view.episode_id, send_properties=False
         ) as recording:
             recording.save(str(path), default_blueprint=_blueprint(view))
             _send(view, recording)
@@ -181,6 +184,16 @@ def _path(*parts: str) -> str:
     return str(rr.new_entity_path(list(parts)))
 
 
+_TAKEN = frozenset({"world", "about", "signals", "log"})
+"""First parts of paths that are no lanes."""
+
+
+def _lane_path(lane: Lane) -> str:
+    """A lane's path. The viewer shows it as the lane's name, so that nothing stands before it."""
+    first, *rest = lane.path
+    return _path(f"{first}_" if first in _TAKEN else first, *rest)
+
+
 def _send(view: EpisodeView, recording: rr.RecordingStream) -> None:
     def times(ticks_ns: Ticks) -> list[Any]:
         return [
@@ -189,6 +202,8 @@ def _send(view: EpisodeView, recording: rr.RecordingStream) -> None:
         ]
 
     recording.send_recording_name(view.title)
+    values: dict[str, Any] = dict(view.properties)
+    recording.send_property(PROPERTIES, rr.AnyValues(**values))
     recording.log(_path(_WORLD), rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
     recording.log("about", rr.TextDocument(view.document, media_type=rr.MediaType.MARKDOWN), static=True)
     for body in view.bodies:
@@ -196,19 +211,22 @@ def _send(view: EpisodeView, recording: rr.RecordingStream) -> None:
     for trail in view.trails:
         _send_segments(_path(_WORLD, "trails", trail.name), trail, 0.0022, recording, times)
     _send_segments(_path(_WORLD, "contacts"), view.contacts, 0.0028, recording, times)
-    for group, lanes in (("hands", view.hand_lanes), ("facts", view.fact_lanes)):
-        for lane in lanes:
-            _send_lane(_path(group, *lane.path), lane, recording, times)
+    sent: set[str] = set()
+    for lane in (*view.plan_lanes, *view.hand_lanes, *view.relation_lanes, *view.fact_lanes):
+        path = _lane_path(lane)
+        if path not in sent:
+            sent.add(path)
+            _send_lane(path, lane, recording, times)
     for chart in view.charts:
         _send_chart(chart, view, recording, times)
-    if view.notes:
-        ticks = np.array([note.tick_ns for note in view.notes], dtype=np.int64)
+    for log in view.logs:
+        ticks = np.array([note.tick_ns for note in log.notes], dtype=np.int64)
         columns = rr.TextLog.columns(
-            text=[note.text for note in view.notes],
-            level=["INFO"] * len(view.notes),
-            color=[note.colour for note in view.notes],
+            text=[note.text for note in log.notes],
+            level=[note.level for note in log.notes],
+            color=[note.colour for note in log.notes],
         )
-        recording.send_columns("operators", times(ticks), columns)
+        recording.send_columns(_path("log", log.name), times(ticks), columns)
 
 
 def _send_body(body: Body, recording: rr.RecordingStream, times: Callable[[Ticks], list[Any]]) -> None:
@@ -336,10 +354,37 @@ def _send_chart(
 
 def _blueprint(view: EpisodeView) -> rrb.Blueprint:
     """Scene and description on the left; lanes and signals on one shared time axis on the right."""
-    axis = rrb.archetypes.TimeAxis(link=rrb.components.LinkAxis.LinkToGlobal)
+    left = _left(view)
+    right, shares = _right(view)
+    columns: list[Any] = [left]
+    if right:
+        columns.append(rrb.Vertical(*right, row_shares=shares))
+    return rrb.Blueprint(
+        rrb.Horizontal(*columns, column_shares=[1.0, 1.25][: len(columns)]),
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+        rrb.TimePanel(state="collapsed", timeline=EPISODE_TIMELINE, play_state="paused"),
+        auto_views=False,
+        auto_layout=False,
+    )
+
+
+def _left(view: EpisodeView) -> Any:
+    """The scene; below it what the recording is, beside what was noted."""
+    details: list[Any] = [rrb.TextDocumentView(origin="about", name="About")]
+    if view.logs:
+        only_text = rrb.TextLogColumns(text_log_columns=["body"])
+        logs = [
+            rrb.TextLogView(origin=_path("log", log.name), name=log.title, columns=only_text)
+            for log in view.logs
+        ]
+        details.append(rrb.Tabs(*logs, active_tab=0) if len(logs) > 1 else logs[0])
+    below = rrb.Horizontal(*details, column_shares=[1.0, 1.3][: len(details)])
+    if not view.bodies:
+        return below
     # Most of what is to be seen rests low, with the hands above it.
     focus = np.array(view.focus_xyz_m) - np.array([0.0, 0.0, 0.2 * view.extent_m])
-    eye = focus + view.extent_m * np.array([0.2, -1.45, 1.15])
+    eye = focus + view.extent_m * np.array([0.25, -1.75, 1.4])
     trail = rrb.VisibleTimeRanges(
         timeline=EPISODE_TIMELINE,
         start=rrb.TimeRangeBoundary.cursor_relative(seconds=-view.trail_ns * 1e-9),
@@ -353,35 +398,37 @@ def _blueprint(view: EpisodeView) -> rrb.Blueprint:
         eye_controls=rrb.EyeControls3D(position=eye, look_target=focus, eye_up=(0.0, 0.0, 1.0)),
         overrides={_path(_WORLD, "trails", segments.name): trail for segments in view.trails},
     )
-    left: list[Any] = [scene]
-    details: list[Any] = [rrb.TextDocumentView(origin="about", name="Episode")]
-    if view.notes:
-        only_text = rrb.TextLogColumns(text_log_columns=["body"])
-        details.append(rrb.TextLogView(origin="operators", name="Operators matched", columns=only_text))
-    left.append(rrb.Horizontal(*details))
-    right: list[Any] = []
+    return rrb.Vertical(scene, below, row_shares=[2.0, 1.0])
+
+
+def _right(view: EpisodeView) -> tuple[list[Any], list[float]]:
+    """Lanes and charts from top to bottom, and the share of the height that each takes."""
+    axis = rrb.archetypes.TimeAxis(link=rrb.components.LinkAxis.LinkToGlobal)
+
+    def lanes_view(lanes: Sequence[Lane], name: str) -> Any:
+        contents = [f"+ {_lane_path(lane)}" for lane in lanes]
+        return rrb.StateTimelineView(origin="/", contents=contents, name=name, time_view=axis)
+
+    views: list[Any] = []
     shares: list[float] = []
-    if view.hand_lanes:
-        right.append(rrb.StateTimelineView(origin="hands", name="Hands", time_view=axis))
-        shares.append(_HEADER_PX + _LANE_PX * min(len(view.hand_lanes), 8))
-    if view.fact_lanes:
-        right.append(rrb.StateTimelineView(origin="facts", name="Predicates", time_view=axis))
-        shares.append(_HEADER_PX + _LANE_PX * min(len(view.fact_lanes), 8))
+    for lanes, name in ((view.plan_lanes, "Plan"), (view.hand_lanes, "Hands")):
+        if lanes:
+            views.append(lanes_view(lanes, name))
+            shares.append(_HEADER_PX + _LANE_PX * min(len(lanes), 8))
+    predicates = [
+        lanes_view(lanes, name)
+        for lanes, name in ((view.relation_lanes, "Relations"), (view.fact_lanes, "All predicates"))
+        if lanes
+    ]
+    if predicates:
+        views.append(rrb.Tabs(*predicates, active_tab=0) if len(predicates) > 1 else predicates[0])
+        first = view.relation_lanes or view.fact_lanes
+        shares.append(_HEADER_PX + _LANE_PX * min(max(len(first), 4), 9))
     for chart in view.charts:
         # All charts show the same hands in the same colours: one legend is enough.
-        right.append(_chart_view(chart, axis, has_legend=chart is view.charts[0]))
+        views.append(_chart_view(chart, axis, has_legend=chart is view.charts[0]))
         shares.append(_CHART_PX)
-    columns: list[Any] = [rrb.Vertical(*left, row_shares=[2.2, 1.0])]
-    if right:
-        columns.append(rrb.Vertical(*right, row_shares=shares))
-    return rrb.Blueprint(
-        rrb.Horizontal(*columns, column_shares=[1.0, 1.25][: len(columns)]),
-        rrb.BlueprintPanel(state="collapsed"),
-        rrb.SelectionPanel(state="collapsed"),
-        rrb.TimePanel(state="collapsed", timeline=EPISODE_TIMELINE, play_state="paused"),
-        auto_views=False,
-        auto_layout=False,
-    )
+    return views, shares
 
 
 def _chart_view(chart: Chart, axis: Any, *, has_legend: bool) -> Any:

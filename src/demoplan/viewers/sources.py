@@ -8,13 +8,20 @@ from demoplan.language.vocabulary import Vocabulary
 from demoplan.manifests.mapping import Mapping
 from demoplan.stages.perceive import PerceiveParams
 from demoplan.stages.perceive.bodies import shape_of
-from demoplan.tables import Activities, Episodes, Evidence, Facts, Frames
-from demoplan.viewers.episode_view import Entity, Threshold
+from demoplan.tables import Activities, Episodes, Evidence, Executions, Facts, Frames, Runs
+from demoplan.viewers.episode_view import Entity, Note, Threshold
+
+LAYERS = ("raw", "activities", "predicates", "execution", "explanation")
+"""Parts of a view: scene and signals; what hands did, and which operators that matched; what held; plans and
+steps; and why."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class EpisodeViewParams:
     """What can be chosen about an episode view."""
+
+    layers: tuple[str, ...] = LAYERS
+    """Which parts are shown; see ``LAYERS``."""
 
     trail_ns: int = 1_500_000_000
     """How far back a hand's trail shows [ns]."""
@@ -34,7 +41,8 @@ class EpisodeViewParams:
 class EpisodeTables:
     """What is known of an episode. Tables may hold other episodes too; their rows are left out.
 
-    ``truth`` has the form of activities; ``evidence`` says which operator each activity matched.
+    ``truth`` has the form of activities; ``evidence`` says which operator each activity matched. An execution
+    is an episode with ``run`` (one row) and ``steps``, on one clock with its frames, if these were kept.
     """
 
     episode_id: str
@@ -45,6 +53,12 @@ class EpisodeTables:
     activities: dy.DataFrame[Activities] | None = None
     truth: dy.DataFrame[Activities] | None = None
     evidence: dy.DataFrame[Evidence] | None = None
+    run: dy.DataFrame[Runs] | None = None
+    steps: dy.DataFrame[Executions] | None = None
+    reasons: tuple[Note, ...] = ()
+    """Why activities and facts are what they are."""
+    goal: str | None = None
+    """What was to be reached, as goal text."""
     thresholds: tuple[Threshold, ...] = ()
 
 
