@@ -12,7 +12,8 @@ import polars as pl
 from demoplan.language.domains import Signature
 from demoplan.language.types import TypeHierarchy
 from demoplan.stages.learn.bind import bind_arguments, bind_roles
-from demoplan.stages.learn.encode import Encoded, encode
+from demoplan.stages.learn.encode import encode
+from demoplan.stages.learn.findings import findings_of
 from demoplan.stages.learn.lift import AFTER, BEFORE, Lifted, LiftedAtom, Pattern, lift
 from demoplan.stages.learn.mend import mend
 from demoplan.stages.learn.merge import Candidate, Draft, merge
@@ -21,7 +22,7 @@ from demoplan.stages.learn.reach import keep_plannable
 from demoplan.stages.learn.relevance import LOGGED, TRACED
 from demoplan.stages.learn.settle import settle
 from demoplan.stages.learn.sound import check_balance, keep_apart, prune
-from demoplan.tables import Evidence, Literals, Operators, Transitions
+from demoplan.tables import Evidence, Findings, Literals, Operators, Transitions
 
 MAX_COST = 1_000_000
 """Keeps the cost of any plan within Fast Downward's 32-bit integers."""
@@ -33,6 +34,7 @@ class Learned(NamedTuple):
     operators: dy.DataFrame[Operators]
     literals: dy.DataFrame[Literals]
     evidence: dy.DataFrame[Evidence]
+    findings: dy.DataFrame[Findings]
 
 
 def learn(
@@ -55,7 +57,7 @@ def learn(
 
     Returns:
         Operators (those that are not believed are marked as quarantined, with the reason), every literal
-        that was considered, and which transitions stand behind each operator.
+        that was considered, which transitions stand behind each operator, and what was found on the way.
 
     Raises:
         UnknownNameError: If a predicate or a type is unknown.
@@ -65,19 +67,43 @@ def learn(
     if data.arguments is not None:
         lifted = lift(data, bind_arguments(data, data.arguments), None, params)
         drafts = merge(lifted, types, data.predicates, params, TRACED)
+        mended = None
     else:
-        data = mend(data, types, params.mend).data
+        mended = mend(data, types, params.mend)
+        data = mended.data
         settled = settle(data, types, params)
         lifted = lift(data, bind_roles(data, settled, params), settled, params)
-        drafts = merge(lifted, types, data.predicates, params, LOGGED)
-        drafts = [keep_apart(draft, lifted.patterns, types, data.predicates, params) for draft in drafts]
-        drafts = [check_balance(draft, lifted.patterns, params) for draft in drafts]
-        drafts = keep_plannable(prune(drafts, params), params)
+        drafts = drafts_of_logs(lifted, types, data.predicates, params)
+    return tables_of(drafts, data.table, data.names, lifted, params)
+
+
+def drafts_of_logs(
+    lifted: Lifted, types: TypeHierarchy, predicates: Sequence[Signature], params: LearnParams
+) -> list[Draft]:
+    """Operators of logged activities: they depend on patterns and their counts alone."""
+    drafts = merge(lifted, types, predicates, params, LOGGED)
+    drafts = [keep_apart(draft, lifted.patterns, types, predicates, params) for draft in drafts]
+    drafts = [check_balance(draft, lifted.patterns, params) for draft in drafts]
+    return list(keep_plannable(prune(drafts, params), params))
+
+
+def tables_of(
+    drafts: Sequence[Draft], rows: pl.DataFrame, names: Sequence[str], lifted: Lifted, params: LearnParams
+) -> Learned:
+    """Drafts as tables, with the evidence behind them.
+
+    Args:
+        drafts: Operators.
+        rows: ``episode_id``, ``hand``, ``start_ns`` and ``end_ns`` of every transition.
+        names: Instances, by the codes of ``lifted.bindings``.
+        lifted: Which pattern each transition shows, and what its variables are bound to.
+        params: Learning choices.
+    """
     named = _named(drafts)
     return Learned(
-        _operators(named, data, lifted, params),
+        _operators(named, rows, lifted, params),
         _literals(named, lifted.variables),
-        _evidence(named, data, lifted),
+        _evidence(named, rows, names, lifted),
     )
 
 
@@ -128,12 +154,12 @@ def planner_cost(count: int, most: int, beta: float, params: LearnParams) -> int
 
 
 def _operators(
-    named: Sequence[tuple[str, Draft]], data: Encoded, lifted: Lifted, params: LearnParams
+    named: Sequence[tuple[str, Draft]], rows_of: pl.DataFrame, lifted: Lifted, params: LearnParams
 ) -> dy.DataFrame[Operators]:
     most = max((draft.count for _, draft in named if not draft.quarantine), default=1)
     number = _draft_of_pattern(named, lifted)[lifted.pattern_of]
     episodes = (
-        pl.DataFrame({"number": number, "episode_id": data.table["episode_id"]})
+        pl.DataFrame({"number": number, "episode_id": rows_of["episode_id"]})
         .group_by("number")
         .agg(pl.col("episode_id").n_unique())
     )
@@ -194,7 +220,9 @@ def _literals(named: Sequence[tuple[str, Draft]], variables: Sequence[str]) -> d
     return Literals.validate(table.sort("operator", "role", "predicate", "variables", "is_positive"))
 
 
-def _evidence(named: Sequence[tuple[str, Draft]], data: Encoded, lifted: Lifted) -> dy.DataFrame[Evidence]:
+def _evidence(
+    named: Sequence[tuple[str, Draft]], rows: pl.DataFrame, instances: Sequence[str], lifted: Lifted
+) -> dy.DataFrame[Evidence]:
     pattern_rows = [
         {
             "pattern": position,
@@ -214,7 +242,7 @@ def _evidence(named: Sequence[tuple[str, Draft]], data: Encoded, lifted: Lifted)
             "contradicts": pl.List(pl.String),
         },
     )
-    names = pl.Series(data.names, dtype=pl.String)
+    names = pl.Series(instances, dtype=pl.String)
     columns = [
         pl.Series(f"_{place}", lifted.bindings[:, place]).replace(-1, None)
         for place in range(lifted.bindings.shape[1])
@@ -223,7 +251,7 @@ def _evidence(named: Sequence[tuple[str, Draft]], data: Encoded, lifted: Lifted)
     table = (
         pl.concat(
             [
-                data.table.select("episode_id", "hand", "start_ns", "end_ns"),
+                rows.select("episode_id", "hand", "start_ns", "end_ns"),
                 pl.DataFrame({"pattern": lifted.pattern_of}),
                 bound.select(binding=pl.concat_list(pl.all())) if columns else pl.DataFrame({"binding": []}),
             ],

@@ -12,7 +12,7 @@ the owner agree with what was before, and all after it with what came after. Not
 comes from a state that was observed, and only where it was first (or last) seen changes.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
 
@@ -25,6 +25,9 @@ from demoplan.stages.learn.params import LearnParams
 
 FREE = -2
 """Value of a hand that is open, and so holds nothing."""
+Votes: TypeAlias = Mapping[tuple[str, int, int], int]
+"""Activity, kind of value before, kind after → how often it makes that change within itself."""
+
 Preference: TypeAlias = Callable[[range, int, int], Sequence[tuple[int, ...]]]
 """For the rows of a run and the values on its two sides, how well each row would do as owner."""
 
@@ -47,14 +50,51 @@ class Settled:
     """Object that is grasped, released, held, or acted on; ``NOBODY`` where there is none. Shape (n,)."""
 
 
-def settle(data: Encoded, types: TypeHierarchy, params: LearnParams) -> Settled:
+def settle(
+    data: Encoded,
+    types: TypeHierarchy,
+    params: LearnParams,
+    *,
+    grip_votes: Votes | None = None,
+    support_votes: Votes | None = None,
+) -> Settled:
     """Close the gaps of every hand's sequence of transitions.
 
     Args:
         data: Transitions of logs (symbolic traces have no gaps).
         types: What may be held depends on the type that ``params.holding`` takes.
         params: Which predicates exclude each other.
+        grip_votes: Which activities take hold and let go within themselves; by default as these data have it.
+            Only their order matters.
+        support_votes: The same of what objects rest on.
     """
+    own, chain, holds, hand_source, manipulated, rests = _observed(data, types, params, grip_votes)
+    support_source = _close(
+        own,
+        rests,
+        chain,
+        data.activity,
+        votes=_by_code(data, support_votes) or _votes(rests, data.activity),
+        preference=lambda run, _old, new: _carry_preference(data, holds, run, new),
+    )
+    return Settled(hand_source, support_source, holds, manipulated)
+
+
+def count_grip_votes(data: Encoded, params: LearnParams) -> Votes:
+    """How often each activity changes what a hand holds within itself; counts of several data add up."""
+    return _by_name(data, _votes(_holding(data, params), data.activity))
+
+
+def count_support_votes(data: Encoded, types: TypeHierarchy, params: LearnParams, grip_votes: Votes) -> Votes:
+    """How often each activity changes what an object rests on within itself, once hands are settled."""
+    *_, rests = _observed(data, types, params, grip_votes)
+    return _by_name(data, _votes(rests, data.activity))
+
+
+def _observed(
+    data: Encoded, types: TypeHierarchy, params: LearnParams, grip_votes: Votes | None
+) -> tuple[Ints, Ints, Ints, Ints, Ints, Ints]:
+    """Own states, chains of one object, holds, their sources, manipulated objects, and what they rest on."""
     own = 2 * np.arange(data.n)[:, None] + np.array([0, 1])
     holds = _holding(data, params)
     hand_source = _close(
@@ -62,6 +102,7 @@ def settle(data: Encoded, types: TypeHierarchy, params: LearnParams) -> Settled:
         holds,
         data.sequence,
         data.activity,
+        votes=_by_code(data, grip_votes) or _votes(holds, data.activity),
         preference=lambda run, old, new: _grip_preference(data, run, old, new),
     )
     holds = holds.reshape(-1)[hand_source]
@@ -70,14 +111,7 @@ def settle(data: Encoded, types: TypeHierarchy, params: LearnParams) -> Settled:
     chain = np.cumsum(
         np.r_[True, (data.sequence[1:] != data.sequence[:-1]) | (manipulated[1:] != manipulated[:-1])]
     )[: data.n]
-    support_source = _close(
-        own,
-        rests,
-        chain,
-        data.activity,
-        preference=lambda run, _old, new: _carry_preference(data, holds, run, new),
-    )
-    return Settled(hand_source, support_source, holds, manipulated)
+    return own, chain, holds, hand_source, manipulated, rests
 
 
 def _holding(data: Encoded, params: LearnParams) -> Ints:
@@ -175,7 +209,46 @@ def _resting(data: Encoded, manipulated: Ints, holds: Ints, params: LearnParams)
     return sides
 
 
-def _close(own: Ints, values: Ints, chain: Ints, activity: Ints, preference: Preference) -> Ints:
+def _kinds(values: Ints) -> Ints:
+    """Values without saying which object: any object is 1."""
+    return np.where(values >= 0, 1, values)
+
+
+def _votes(values: Ints, activity: Ints) -> dict[tuple[int, int, int], int]:
+    """How often each activity, by code, changes one kind of value to another within itself."""
+    kinds = _kinds(values)
+    whole = (
+        (values[:, 0] != GAP) & (values[:, 1] != GAP) & (values[:, 0] != _UNSEEN) & (values[:, 1] != _UNSEEN)
+    )
+    changes = whole & (values[:, 0] != values[:, 1])
+    seen, counts = np.unique(np.column_stack([activity[changes], kinds[changes]]), axis=0, return_counts=True)
+    return {
+        (activity, old, new): count
+        for (activity, old, new), count in zip(seen.tolist(), counts.tolist(), strict=True)
+    }
+
+
+def _by_name(data: Encoded, votes: Mapping[tuple[int, int, int], int]) -> dict[tuple[str, int, int], int]:
+    return {(data.activities[code], old, new): count for (code, old, new), count in votes.items()}
+
+
+def _by_code(data: Encoded, votes: Votes | None) -> dict[tuple[int, int, int], int]:
+    code_of = {name: code for code, name in enumerate(data.activities)}
+    return {
+        (code_of[name], old, new): count
+        for (name, old, new), count in (votes or {}).items()
+        if name in code_of
+    }
+
+
+def _close(
+    own: Ints,
+    values: Ints,
+    chain: Ints,
+    activity: Ints,
+    votes: Mapping[tuple[int, int, int], int],
+    preference: Preference,
+) -> Ints:
     """Sources of each end's value after every gap is closed; shape (n, 2).
 
     A run is a maximal stretch of one chain whose inner boundaries all fall into a gap and whose two ends
@@ -191,13 +264,7 @@ def _close(own: Ints, values: Ints, chain: Ints, activity: Ints, preference: Pre
     open_end[:-1] &= values[1:, 0] == GAP
     starts = np.flatnonzero(open_end & ~np.r_[False, open_end[:-1]])
     ends = np.flatnonzero(~open_end & np.r_[False, open_end[:-1]])
-    kinds = np.where(values >= 0, 1, values)
-    whole = (
-        (values[:, 0] != GAP) & (values[:, 1] != GAP) & (values[:, 0] != _UNSEEN) & (values[:, 1] != _UNSEEN)
-    )
-    changes = whole & (values[:, 0] != values[:, 1])
-    seen, counts = np.unique(np.column_stack([activity[changes], kinds[changes]]), axis=0, return_counts=True)
-    votes = {tuple(key): count for key, count in zip(seen.tolist(), counts.tolist(), strict=True)}
+    kinds = _kinds(values)
     for start, end in zip(starts.tolist(), ends.tolist(), strict=True):
         old, new = int(values[start, 0]), int(values[end, 1])
         if old in (GAP, _UNSEEN) or new in (GAP, _UNSEEN):
