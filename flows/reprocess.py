@@ -2,7 +2,6 @@
 
 import asyncio
 import os
-from pathlib import Path
 
 from prefect import flow, task
 from prefect.artifacts import acreate_markdown_artifact
@@ -11,48 +10,55 @@ from demoplan.pipeline.reprocess import Reprocessed
 from demoplan.pipeline.reprocess import reprocess as run_again
 from demoplan.pipeline.staleness import StalePlan, find_stale, selected, total_cost_s
 from demoplan.store import Store
+from flows.crews import Workplace, crew_of, workplace
 from flows.edges import EDGE
-from flows.inputs import Workers
+from flows.inputs import Address, Runner, Workers, store_at
 from flows.progress import ArtifactProgress
 from flows.showing import changes_text, key_of, show_stale
 
 
 @task(name="find what is stale", tags=["disk"], **EDGE)
-async def look(store: Path) -> StalePlan:
+async def look(store: str) -> StalePlan:
     """What is stale, and why; nothing is run."""
-    return await asyncio.to_thread(find_stale, Store(store), dict(os.environ))
+    return await asyncio.to_thread(find_stale, store_at(store), dict(os.environ))
 
 
 @task(name="run what is stale", tags=["disk", "cpu"], **EDGE)
-async def work(store: Path, where: str | None, workers: int) -> Reprocessed:
+async def work(store: str, where: str | None, place: Workplace) -> Reprocessed:
     """Run what is stale now: looked up again, so that a second try does not repeat what the first did."""
-    plan = await asyncio.to_thread(find_stale, Store(store), dict(os.environ))
-    rows = selected(plan, where)
-    return await asyncio.to_thread(
-        run_again, Store(store), plan, rows, n_workers=workers, progress=ArtifactProgress()
-    )
+    return await asyncio.to_thread(_work, store_at(store), where, place, ArtifactProgress())
+
+
+def _work(store: Store, where: str | None, place: Workplace, progress: ArtifactProgress) -> Reprocessed:
+    plan = find_stale(store, dict(os.environ))
+    with crew_of(place) as crew:
+        return run_again(store, plan, selected(plan, where), crew=crew, progress=progress)
 
 
 @flow(name="reprocess", persist_result=False)
 async def reprocess(
-    store: Path = Path(".demoplan"),
+    store: str = ".demoplan",
     where: str | None = None,
     dry_run: bool = False,
     workers: Workers = 2,
+    runner: Runner = None,
+    address: Address = None,
 ) -> Reprocessed | None:
     """Say what is stale and why, then run exactly that.
 
     Args:
-        store: Folder of the store.
+        store: Where the store is: a folder, or s3://BUCKET/PREFIX.
         where: Only what fits, as SQL: ``participant = 'p1' AND reason = 'code'``.
         dry_run: Only say what is stale.
-        workers: Processes for ingesting, and planners at once.
+        workers: Workers at once: processes for episodes, and planners.
+        runner: Who works on episodes: processes, threads, dask or ray; by default DEMOPLAN_RUNNER says.
+        address: Of a Dask or Ray cluster that is there already; without it, one is started on this machine.
     """
     rows = selected(await look(store), where)
     await show_stale(rows, total_cost_s(rows)[0])
     if dry_run or (rows["reason"] == "blocked").all():
         return None
-    result = await work(store, where, workers)
+    result = await work(store, where, workplace(runner, address, workers))
     for name, changes in sorted(result.changes.items()):
         text = changes_text("the version before", changes)
         await acreate_markdown_artifact(key=key_of("domain-diff", name), markdown=f"# {name}\n\n{text}")

@@ -140,7 +140,7 @@ def test_a_night_takes_up_what_arrived_learns_evaluates_and_shows_it(lab, tmp_pa
 
     store = tmp_path / "store"
     arguments = {
-        "store": store,
+        "store": str(store),
         "pattern": "(?P<participant>p1)-(?P<task>.+)",
         "quiet_s": 0.0,
         "segmenter": "rules",
@@ -168,14 +168,14 @@ def test_reprocessing_shows_why_and_a_dry_run_runs_nothing(lab, tmp_path, prefec
     from demoplan.store import Store
 
     store = tmp_path / "store"
-    asyncio.run(ingest(lab, store=store, workers=1))
+    asyncio.run(ingest(lab, store=str(store), workers=1))
     state = Store(store).manifest.episode("p1-one-left")
     path = Store(store).objects.path_of(state.tables["facts"])
     path.unlink()
-    assert asyncio.run(reprocess(store, dry_run=True)) is None
+    assert asyncio.run(reprocess(str(store), dry_run=True)) is None
     assert not path.exists()
     assert "facts not in the store" in artifacts()["stale"].data
-    result = asyncio.run(reprocess(store, where="episode_id = 'p1-one-left'", workers=1))
+    result = asyncio.run(reprocess(str(store), where="episode_id = 'p1-one-left'", workers=1))
     assert [s.episode_id for s in result.states] == ["p1-one-left"]
     assert path.is_file()
 
@@ -187,4 +187,4 @@ def test_a_flow_with_a_wrong_argument_fails_at_once_and_says_why(tmp_path, prefe
     from demoplan.errors import UsageError
 
     with pytest.raises(UsageError, match="no dataset here"):
-        asyncio.run(ingest(tmp_path, store=tmp_path / "store"))
+        asyncio.run(ingest(tmp_path, store=str(tmp_path / "store")))
