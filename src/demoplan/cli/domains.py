@@ -54,12 +54,29 @@ def show(
                 "operators": learned.operators,
                 "literals": learned.literals,
                 "evidence": learned.evidence,
+                "findings": learned.findings,
             }
         )
         return
     if not evidence:
         stdout.out(learned.text, end="")
         return
+    if learned.findings.height:
+        print_table(
+            "found on the way",
+            ["kind", "subject", "finding", "for", "against", "odds"],
+            [
+                (
+                    row["kind"],
+                    row["subject"],
+                    row["statement"],
+                    row["n_support"],
+                    row["n_against"],
+                    "" if row["log10_bayes_factor"] is None else f"10^{row['log10_bayes_factor']:.1f}",
+                )
+                for row in learned.findings.iter_rows(named=True)
+            ],
+        )
     for operator in learned.operators.iter_rows(named=True):
         name = operator["operator"]
         parameters = ", ".join(f"{p['variable']} {p['type']}" for p in operator["parameters"])

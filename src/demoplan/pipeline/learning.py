@@ -16,9 +16,8 @@ from demoplan.stages.compose import compose, support_of
 from demoplan.stages.learn import LearnParams, learn
 from demoplan.store import DomainVersion, EpisodeState, Store
 from demoplan.store.code_version import code_version
-from demoplan.store.domains import TABLES
 from demoplan.store.store import StageOutput, canonical_json
-from demoplan.tables import Evidence, Literals, Operators, Transitions
+from demoplan.tables import Evidence, Findings, Literals, Operators, Transitions
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,6 +30,8 @@ class Learned:
     operators: dy.DataFrame[Operators]
     literals: dy.DataFrame[Literals]
     evidence: dy.DataFrame[Evidence]
+    findings: dy.DataFrame[Findings]
+    """What was found on the way; empty for versions that were stored without."""
 
 
 def learn_domain(
@@ -56,13 +57,14 @@ def learn_domain(
     def work() -> StageOutput:
         transitions = tables_of(store, chosen, "transitions", Transitions)
         learned = learn(transitions, vocabulary.types, predicates, params)
-        schemas = (Operators, Literals, Evidence)
-        return StageOutput(tables=dict(zip(TABLES, zip(learned, schemas, strict=True), strict=True)))
+        schemas = (Operators, Literals, Evidence, Findings)
+        return StageOutput(tables=dict(zip(learned._fields, zip(learned, schemas, strict=True), strict=True)))
 
     record = store.run("learn", *call, work)
     operators = store.get(record.outputs["operators"], Operators)
     literals = store.get(record.outputs["literals"], Literals)
     evidence = store.get(record.outputs["evidence"], Evidence)
+    findings = store.get(record.outputs["findings"], Findings)
     domain = compose(operators, literals, vocabulary.types, predicates, name)
     text = render_domain(domain)
     version = store.domains.put(
@@ -82,6 +84,7 @@ def learn_domain(
         operators,
         literals,
         evidence,
+        findings,
     )
     return Learned(
         version=version,
@@ -90,6 +93,7 @@ def learn_domain(
         operators=operators,
         literals=literals,
         evidence=evidence,
+        findings=findings,
     )
 
 
@@ -122,6 +126,7 @@ def stored_domain(store: Store, asked: str) -> Learned:
         operators=operators,
         literals=literals,
         evidence=evidence,
+        findings=store.domains.findings(version),
     )
 
 

@@ -2,7 +2,7 @@
 
 import json
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import PurePosixPath
 
@@ -13,10 +13,10 @@ from demoplan.errors import StoreError, UnknownNameError
 from demoplan.ids import DomainId
 from demoplan.store.objects import Table, read_table, write_table
 from demoplan.store.places import AbsentError, Place
-from demoplan.tables import Evidence, Literals, Operators
+from demoplan.tables import Evidence, Findings, Literals, Operators
 
-TABLES = ("operators", "literals", "evidence")
-"""Names of the tables that stand beside a domain's text."""
+TABLES = ("operators", "literals", "evidence", "findings")
+"""Names of the tables that stand beside a domain's text; a version may lack the last."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,6 +74,7 @@ class DomainStore:
         operators: dy.DataFrame[Operators],
         literals: dy.DataFrame[Literals],
         evidence: dy.DataFrame[Evidence],
+        findings: dy.DataFrame[Findings] | None = None,
     ) -> DomainVersion:
         """Add a version, and let it be its name's latest; what was written of it before stays as it was.
 
@@ -82,7 +83,14 @@ class DomainStore:
         Returns:
             The version as stored.
         """
-        stored = self._known(version) or self._written(version, text, operators, literals, evidence)
+        tables: list[tuple[pl.DataFrame, type[dy.Schema]]] = [
+            (operators, Operators),
+            (literals, Literals),
+            (evidence, Evidence),
+        ]
+        if findings is not None:
+            tables.append((findings, Findings))
+        stored = self._known(version) or self._written(version, text, tables)
         published = Publication(
             domain_id=stored.domain_id, snapshot=version.snapshot, made_at_ns=time.time_ns()
         )
@@ -111,25 +119,15 @@ class DomainStore:
         return None
 
     def _written(
-        self,
-        version: DomainVersion,
-        text: str,
-        operators: dy.DataFrame[Operators],
-        literals: dy.DataFrame[Literals],
-        evidence: dy.DataFrame[Evidence],
+        self, version: DomainVersion, text: str, tables: Sequence[tuple[pl.DataFrame, type[dy.Schema]]]
     ) -> DomainVersion:
         folder = self._folder_of(version)
         if self._place.entry(f"{folder}/metadata.json") is not None:
             folder = f"{folder}/{version.snapshot[:_EVIDENCE_DIGITS]}"
         latest = self.latest(version.name)
         contents = {}
-        tables: tuple[tuple[pl.DataFrame, type[dy.Schema]], ...] = (
-            (operators, Operators),
-            (literals, Literals),
-            (evidence, Evidence),
-        )
         with self._place.together():
-            for name, (table, schema) in zip(TABLES, tables, strict=True):
+            for name, (table, schema) in zip(TABLES, tables, strict=False):
                 with self._place.draft(".parquet") as draft:
                     contents[name] = str(write_table(table, schema, draft))
                     self._place.settle(draft, f"{folder}/{name}.parquet")
@@ -198,14 +196,24 @@ class DomainStore:
         self, version: DomainVersion
     ) -> tuple[dy.DataFrame[Operators], dy.DataFrame[Literals], dy.DataFrame[Evidence]]:
         """Operators, literals and evidence of a version."""
-        folder = self._folder_of(version)
-        if self._read(folder).snapshot != version.snapshot:
-            folder = f"{folder}/{version.snapshot[:_EVIDENCE_DIGITS]}"
+        folder = self._folder_with_tables(version)
         return (
             self._table(f"{folder}/operators.parquet", Operators),
             self._table(f"{folder}/literals.parquet", Literals),
             self._table(f"{folder}/evidence.parquet", Evidence),
         )
+
+    def findings(self, version: DomainVersion) -> dy.DataFrame[Findings]:
+        """What was found when a version was learned; nothing for one that was stored without."""
+        if "findings" not in version.tables:
+            return Findings.create_empty()
+        return self._table(f"{self._folder_with_tables(version)}/findings.parquet", Findings)
+
+    def _folder_with_tables(self, version: DomainVersion) -> str:
+        folder = self._folder_of(version)
+        if self._read(folder).snapshot != version.snapshot:
+            return f"{folder}/{version.snapshot[:_EVIDENCE_DIGITS]}"
+        return folder
 
     def folders(self) -> list[str]:
         """Every folder that holds a version's text, metadata and tables, finished or not."""

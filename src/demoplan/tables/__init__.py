@@ -1,7 +1,8 @@
 """The declared tables: read these in order to learn the product.
 
 ``samples`` → ``frames`` → ``facts`` → ``activities`` → ``transitions`` → ``operators``, ``literals``,
-``evidence`` → ``plans`` → ``scores``, ``confusions``; ``episodes`` and ``topics`` say what was read.
+``evidence``, ``findings`` → ``plans`` → ``scores``, ``confusions``; ``episodes`` and ``topics`` say what was
+read.
 
 Conventions: plural nouns; ``<thing>_id``; ``n_<things>``; units in names; time is integer nanoseconds,
 intervals are half-open ``[start_ns, end_ns)``; same name, same quantity, same unit in every table.
@@ -12,6 +13,7 @@ from demoplan.tables.confusions import Confusions
 from demoplan.tables.episodes import Episodes, Topics
 from demoplan.tables.executions import Executions, FaultCases, Runs
 from demoplan.tables.facts import Facts
+from demoplan.tables.findings import Findings
 from demoplan.tables.frames import Frames
 from demoplan.tables.operators import Evidence, Literals, Operators
 from demoplan.tables.plans import Plans
@@ -27,6 +29,7 @@ __all__ = [
     "Executions",
     "Facts",
     "FaultCases",
+    "Findings",
     "Frames",
     "Literals",
     "Operators",

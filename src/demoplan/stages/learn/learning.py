@@ -67,14 +67,13 @@ def learn(
     if data.arguments is not None:
         lifted = lift(data, bind_arguments(data, data.arguments), None, params)
         drafts = merge(lifted, types, data.predicates, params, TRACED)
-        mended = None
-    else:
-        mended = mend(data, types, params.mend)
-        data = mended.data
-        settled = settle(data, types, params)
-        lifted = lift(data, bind_roles(data, settled, params), settled, params)
-        drafts = drafts_of_logs(lifted, types, data.predicates, params)
-    return tables_of(drafts, data.table, data.names, lifted, params)
+        return tables_of(drafts, data.table, data.names, lifted, params)
+    mended = mend(data, types, params.mend)
+    settled = settle(mended.data, types, params)
+    lifted = lift(mended.data, bind_roles(mended.data, settled, params), settled, params)
+    drafts = drafts_of_logs(lifted, types, data.predicates, params)
+    learned = tables_of(drafts, data.table, data.names, lifted, params)
+    return learned._replace(findings=findings_of(mended, lifted, _named(drafts)))
 
 
 def drafts_of_logs(
@@ -90,7 +89,7 @@ def drafts_of_logs(
 def tables_of(
     drafts: Sequence[Draft], rows: pl.DataFrame, names: Sequence[str], lifted: Lifted, params: LearnParams
 ) -> Learned:
-    """Drafts as tables, with the evidence behind them.
+    """Drafts as tables, with the evidence behind them; what was found on the way is not theirs to tell.
 
     Args:
         drafts: Operators.
@@ -104,6 +103,7 @@ def tables_of(
         _operators(named, rows, lifted, params),
         _literals(named, lifted.variables),
         _evidence(named, rows, names, lifted),
+        Findings.create_empty(),
     )
 
 
