@@ -62,10 +62,15 @@ def read_skills(path: Path | None = None) -> SkillTable:
     """The table of a YAML file; without one, the table that comes with demoplan.
 
     Raises:
-        ManifestError: If the file breaks the contract.
+        ManifestError: If the file breaks the contract; with the line.
+        UsageError: If it cannot be read.
     """
     if path is not None:
-        return load_yaml(path.read_text(encoding="utf-8"), path, SkillTable)
+        try:
+            text = path.read_text(encoding="utf-8")
+        except (OSError, UnicodeDecodeError) as error:
+            raise UsageError(f"{path}: cannot be read: {error}") from None
+        return load_yaml(text, path, SkillTable)
     own = files("demoplan.engines.mujoco") / "skills.yaml"
     return load_yaml(own.read_text(encoding="utf-8"), str(own), SkillTable)
 

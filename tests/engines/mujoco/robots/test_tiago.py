@@ -100,3 +100,58 @@ def test_two_arms_stack_at_the_same_time_and_neither_reaches_everywhere(stacker)
     session.advance(0.2)
     assert session.is_resting_on("cube_red", "cube_blue")
     assert session.is_resting_on("cube_green", "cube_yellow")
+
+
+def test_an_arm_looks_out_for_its_own_body_its_own_links_and_the_table():
+    session = open_session(random_scene(cube_names(1), seed=0), "tiago", seed=0)
+    session.arrange()
+    arm = session.others_of("")[0].arm
+    assert session.checker.first_touch(arm, arm.rest_configuration[None], 0.08) is None
+    # Its elbow bent farther than it can be: forearm on upper arm.
+    folded = np.array([1.0, 0.0, -1.5, 2.9, 0.0, 0.0, 0.0])
+    touch = session.checker.first_touch(arm, folded[None], 0.08)
+    assert {touch.part, touch.other} == {"tiago/arm_3_link:solid", "tiago/arm_5_link:solid"}
+    rng = np.random.default_rng(0)
+    others = set()
+    for configuration in rng.uniform(arm.space.low, arm.space.high, (600, 7)):
+        touch = session.checker.first_touch(arm, configuration[None], 0.08)
+        others |= set() if touch is None else {touch.other}
+    assert {"table", "tiago/torso_lift_link:solid", "tiago/head_2_link:solid"} <= others
+
+
+def test_room_that_is_asked_for_is_kept_and_the_model_left_as_it_was():
+    session = open_session(random_scene(cube_names(1), seed=0), "tiago", seed=0)
+    session.arrange()
+    arm, margin = session.others_of("")[0].arm, session.model.geom_margin.copy()
+    low = arm.rest_xyz_m - [0.0, 0.0, arm.rest_xyz_m[2] - arm.finger_reach_m - 0.006]
+    posture = next(arm.postures(low, arm.rest_yaw_rad, np.random.default_rng(0)))[None]
+    assert session.checker.first_touch(arm, posture, 0.08) is None
+    assert session.checker.first_touch(arm, posture, 0.08, clearance_m=0.002) is None
+    assert session.checker.first_touch(arm, posture, 0.08, clearance_m=0.010).other == "table"
+    assert np.array_equal(session.model.geom_margin, margin)
+
+
+def test_reach_is_refused_only_where_no_configuration_is_found_by_a_longer_search():
+    session = open_session(random_scene(cube_names(1), seed=0), "tiago", seed=0)
+    arm = session.others_of("")[0].arm
+    x, y = arm.rest_xyz_m[:2] - [0.435, -0.30]
+    for away, height, expected in ((0.50, 0.03, True), (0.50, 0.35, True), (0.90, 0.03, False)):
+        place = np.array([x + 0.093 + away, y + 0.014, height])
+        why = arm.reachable(place)
+        assert (why is None) == expected
+        rng = np.random.default_rng(1)
+        searched = any(next(arm.postures(place, yaw, rng), None) is not None for yaw in np.linspace(-3, 3, 9))
+        assert searched == expected
+    assert "0.90 m from its shoulder" in why
+
+
+def test_what_no_straight_way_leads_to_is_reached_through_joints(stacker):
+    scene = random_scene(cube_names(2), seed=3)
+    session = open_session(scene, "tiago", seed=3)
+    session.advance(0.2)
+    control = session.others_of("")[0]
+    # No straight way: the space above the things is taken for higher than the arm can go.
+    control.arm.highest_m = 0.0
+    report = stacker.run(session, RIGHT, Motion(activity="Reach", skill="reach", object="cube_red"))
+    assert report.state == "succeeded"
+    assert report.n_collisions == 0

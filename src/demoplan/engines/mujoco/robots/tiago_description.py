@@ -18,16 +18,23 @@ PACKAGE = "example-robot-data"
 
 _KEPT = ("base_footprint", "base_link", "base_cover_link", "torso_", "head_1_link", "head_2_link", "arm_")
 _LEAST_INERTIA_KG_M2 = 1e-5
-_FOREARM = ("_4_link", "_5_link", "_6_link")
-_CAPSULES = ("_2_link", "_3_link", *_FOREARM)
+_UPPER_ARM = ("_2_link", "_3_link")
+_CAPSULES = (*_UPPER_ARM, "_4_link", "_5_link", "_6_link")
 """Links that meet things: the first turns inside the shoulder, the last inside the wrist."""
+_ELBOW = "_4_link"
 
-TORSO_BIT = 32
+BODY_BIT = 32
+"""Contact bit of base, torso and head."""
 
 
 def arm_bit(number: int) -> int:
-    """Contact bit of an arm: an arm meets everything but itself."""
+    """Contact bit of an arm: arms meet each other, things and the body."""
     return 2 << number
+
+
+def upper_arm_bit(number: int) -> int:
+    """Contact bit of an upper arm, which its own hand and forearm meet."""
+    return 8 << number
 
 
 def description_path(name: str) -> Path:
@@ -142,24 +149,32 @@ def _dress(spec: mujoco.MjSpec) -> None:
             geom.group = 1
             geom.rgba = [0.92, 0.92, 0.93, 1.0] if "arm" not in body.name else [0.80, 0.81, 0.83, 1.0]
             if body.name.startswith("arm") and body.name.endswith(_CAPSULES):
-                _fit_capsule(body, geom)
-    torso = spec.body("torso_fixed_column_link")
-    if torso is not None:
-        torso.add_geom(
-            name="torso",
-            type=mujoco.mjtGeom.mjGEOM_CAPSULE,
-            size=[0.12, 0.32, 0.0],
-            pos=[0.02, 0.0, 0.25],
-            contype=TORSO_BIT,
-            conaffinity=0,
-            group=3,
-        )
+                _fit(body, geom, mujoco.mjtGeom.mjGEOM_CAPSULE)
+    for name, kind in _BODY_SOLIDS.items():
+        body = spec.body(name)
+        looks = next(iter(body.geoms), None) if body is not None else None
+        if looks is not None:
+            solid = _fit(body, looks, kind)
+            solid.contype, solid.conaffinity = BODY_BIT, 0
 
 
-def _fit_capsule(body: mujoco.MjsBody, looks: mujoco.MjsGeom) -> None:
-    body.add_geom(
-        name=f"{body.name}:capsule",
-        type=mujoco.mjtGeom.mjGEOM_CAPSULE,
+_BODY_SOLIDS = {
+    "base_link": mujoco.mjtGeom.mjGEOM_CYLINDER,
+    "torso_fixed_column_link": mujoco.mjtGeom.mjGEOM_BOX,
+    "torso_lift_link": mujoco.mjtGeom.mjGEOM_MESH,
+    "head_2_link": mujoco.mjtGeom.mjGEOM_MESH,
+}
+"""What arms could run into, and which solid is fitted to it; a mesh counts as its convex hull."""
+
+
+def _fit(body: mujoco.MjsBody, looks: mujoco.MjsGeom, kind: mujoco.mjtGeom) -> mujoco.MjsGeom:
+    """A solid of some kind that fits a mesh; what looks like a simple solid is that."""
+    is_mesh = looks.type == mujoco.mjtGeom.mjGEOM_MESH
+    return body.add_geom(
+        name=f"{body.name}:solid",
+        type=kind if is_mesh else looks.type,
+        size=np.zeros(3) if is_mesh else np.array(looks.size),
+        rgba=[0.3, 0.5, 0.8, 0.3],
         meshname=looks.meshname,
         pos=np.array(looks.pos),
         quat=np.array(looks.quat),
@@ -169,10 +184,18 @@ def _fit_capsule(body: mujoco.MjsBody, looks: mujoco.MjsGeom) -> None:
 
 
 def set_contacts(body: mujoco.MjsBody, number: int, n_arms: int) -> None:
-    """Let the solids of one arm's body meet everything but their own arm."""
+    """Let the solids of one arm's body meet things, other arms, and what of the robot does not adjoin them.
+
+    An upper arm adjoins the torso; hand and forearm meet the upper arm, from which the elbow parts them.
+    """
     others = sum(arm_bit(other) for other in range(n_arms) if other != number)
+    is_upper = body.name.endswith(_UPPER_ARM)
     for geom in body.geoms:
         if geom.group == 1:
             continue
-        geom.contype = arm_bit(number)
-        geom.conaffinity = 1 | others | (TORSO_BIT if not body.name.endswith(("_2_link", "_3_link")) else 0)
+        geom.contype = arm_bit(number) | (upper_arm_bit(number) if is_upper else 0)
+        geom.conaffinity = 1 | others
+        if not is_upper:
+            geom.conaffinity |= BODY_BIT
+            if not body.name.endswith(_ELBOW):
+                geom.conaffinity |= upper_arm_bit(number)
