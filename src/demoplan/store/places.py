@@ -131,3 +131,9 @@ def open_place(location: str | Path) -> Place:
     from demoplan.store.folder import Folder  # noqa: PLC0415
 
     return Folder(Path(location))
+
+
+def absolute_location(location: str | Path) -> str:
+    """The same place for processes that run in other folders: a URL as it is, a folder from the root on."""
+    text = str(location)
+    return text if "://" in text else str(Path(text).absolute())
