@@ -14,6 +14,10 @@ if TYPE_CHECKING:
     from demoplan.viewers.sources import EpisodeViewParams
 
 
+_TOLD = ("folder", "id", "success", "goal", "participant", "task", "robot", "fault", "outcome")
+"""Properties that a list for people shows, where any recording has them."""
+
+
 def register(app: typer.Typer) -> None:
     """Add the commands."""
     app.command()(view)
@@ -117,7 +121,9 @@ def catalog(
             if as_json:
                 print_json(rows)
             else:
-                print_frame(f"{rows.height} recordings where {where}", rows, limit=1000)
+                told = [name for name in _TOLD if name in rows.columns and rows[name].count()]
+                print_frame(f"{rows.height} recordings where {where}", rows.select(told), limit=1000)
+                say("--json gives every property, and the address of each recording")
             return
         if as_json:
             print_json(

@@ -104,7 +104,7 @@ def document_of_run(run: dict[str, Any], *, duration_s: float) -> str:
 
 
 def _table(title: str, rows: Sequence[tuple[str, str]]) -> list[str]:
-    lines = [f"## {markdown_text(title)}", "", "| | |", "| --- | --- |"]
+    lines = [f"### {markdown_text(title)}", "", "| | |", "| --- | --- |"]
     return lines + [f"| {name} | {markdown_text(value)} |" for name, value in rows]
 
 

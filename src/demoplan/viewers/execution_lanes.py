@@ -1,6 +1,5 @@
 """The steps of an execution to lanes and lines: which plan, what each hand was told, and what went wrong."""
 
-from collections.abc import Sequence
 from typing import Any
 
 import polars as pl
@@ -63,18 +62,19 @@ def _plan_name(index: int) -> str:
 
 
 def _trouble(rows: pl.DataFrame, end_ns: int) -> list[tuple[int, int, str]]:
-    """From the end of each step that went wrong to the next dispatch, or to the next trouble."""
-    starts = sorted(set(rows["start_ns"]))
+    """From the end of each step that went wrong until the next plan, the next trouble, or the end."""
+    begins = rows.group_by("plan_index").agg(pl.col("start_ns").min()).sort("plan_index")
+    first_of = dict(zip(begins["plan_index"], begins["start_ns"], strict=True))
+    bad = rows.filter(pl.col("failure").is_not_null()).sort("end_ns", "plan_index", "step_index")
     found: list[tuple[int, int, str]] = []
-    for step in rows.filter(pl.col("failure").is_not_null()).sort("end_ns").iter_rows(named=True):
+    for step in bad.iter_rows(named=True):
         begin = int(step["end_ns"])
-        until = next((start for start in starts if start >= begin), max(end_ns, begin + 1))
-        until = max(int(until), begin + 1)
+        later = [start for index, start in first_of.items() if index > step["plan_index"] and start > begin]
+        until = min(later, default=max(end_ns, begin + 1))
         if found and found[-1][1] > begin:
-            found[-1] = (found[-1][0], begin, found[-1][2])
-        if found and found[-1][0] >= begin:
-            found.pop()
-        found.append((begin, until, f"{step['failure']}: {step['cause']}"))
+            cut = (found[-1][0], begin, found[-1][2])
+            found = [*found[:-1], cut] if cut[0] < cut[1] else found[:-1]
+        found.append((begin, int(until), f"{step['failure']}: {step['cause']}"))
     return found
 
 
@@ -140,43 +140,49 @@ def events_of(steps: pl.DataFrame, run: dict[str, Any] | None) -> tuple[Note, ..
 
 def _ending(step: dict[str, Any]) -> list[Note]:
     """How a step ended, if not as expected."""
+    is_bad = step["state"] in _BAD_STATES or step["failure"] is not None
+    senses = _senses(step)
+    if not is_bad and not senses:
+        return []
+    why = f"{step['failure']}: {step['cause']}" if step["failure"] is not None else senses
+    text = f"{step['operator']} {step['state']}" + (f"; {why}" if why else "")
+    colour = FAILED if is_bad else colours.UNKNOWN
+    return [Note(tick_ns=step["end_ns"], text=text, colour=colour, level="ERROR" if is_bad else "WARN")]
+
+
+def _senses(step: dict[str, Any]) -> str:
+    """What was sensed of a step against what was expected; empty if they agree."""
     parts = [
         f"{word}: {', '.join(step[column])}"
         for column, word in (
-            ("unmet", "not given at the start"),
+            ("unmet", "not given at its start"),
             ("missing", "expected and not sensed"),
             ("extra", "sensed and not expected"),
         )
         if step[column]
     ]
-    if step["state"] not in _BAD_STATES and not parts and step["failure"] is None:
-        return []
-    is_bad = step["state"] in _BAD_STATES or step["failure"] is not None
-    text = f"{step['operator']} {step['state']}" + (f"; {'; '.join(parts)}" if parts else "")
-    return [
-        Note(
-            tick_ns=step["end_ns"],
-            text=text,
-            colour=FAILED if is_bad else colours.UNKNOWN,
-            level="ERROR" if is_bad else "WARN",
-        )
-    ]
+    return "; ".join(parts)
 
 
 def diagnoses_of(steps: pl.DataFrame) -> tuple[Note, ...]:
-    """The class and the cause of each failure, in words."""
-    rows = dispatched(steps).filter(pl.col("failure").is_not_null()).sort("end_ns")
-    return tuple(
-        Note(
-            tick_ns=step["end_ns"],
-            text=f"{step['operator']}({', '.join(step['arguments'])}): {step['failure']}: {step['cause']}",
-            colour=FAILED,
-            level="ERROR",
-        )
-        for step in rows.iter_rows(named=True)
-    )
-
-
-def names_of_plans(steps: pl.DataFrame) -> Sequence[str]:
-    """The plans that were begun, in order."""
-    return [_plan_name(int(k)) for k in sorted(set(dispatched(steps)["plan_index"]))]
+    """Per failure its class and cause in words, and beneath it what was sensed against what was expected."""
+    notes = []
+    for step in (
+        dispatched(steps).filter(pl.col("failure").is_not_null()).sort("end_ns").iter_rows(named=True)
+    ):
+        said = f"{step['operator']}({', '.join(step['arguments'])}): {step['failure']}: {step['cause']}"
+        measured = [
+            f"{word} {step[column]:.3g} {unit}".strip()
+            for column, word, unit in (
+                ("tracking_error_m", "hand off its course by at most", "m"),
+                ("peak_force_n", "contact force at most", "N"),
+                ("n_collisions", "unwanted contacts:", ""),
+            )
+            if step[column] is not None
+        ]
+        for text in (said, _senses(step), "; ".join(measured)):
+            if text:
+                level = "ERROR" if text is said else "INFO"
+                colour = FAILED if text is said else colours.UNKNOWN
+                notes.append(Note(tick_ns=step["end_ns"], text=text, colour=colour, level=level))
+    return tuple(notes)
