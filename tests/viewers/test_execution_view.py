@@ -107,21 +107,27 @@ def state_at(lane, second):
 
 
 def test_the_plan_lane_says_which_plan_was_followed_and_when_it_was_replaced(steps):
-    plan, _ = plan_lanes_of(steps)
+    plan, _ = plan_lanes_of(steps, 10 * 10**9)
     assert plan.path == ("execution", "plan")
-    found = [state_at(plan, s) for s in (0.4, 0.6, 5.9, 6.1, 8.9, 9.1)]
+    found = [state_at(plan, s) for s in (0.4, 0.6, 5.9, 6.1, 9.9, 10.1)]
     assert found == [None, "plan 1", "plan 1", "plan 2 (replanned)", "plan 2 (replanned)", None]
 
 
 def test_trouble_lasts_from_the_failure_to_the_next_plan(steps):
-    _, trouble = plan_lanes_of(steps)
+    _, trouble = plan_lanes_of(steps, 10 * 10**9)
     said = "execution_offset: cube_red left the hand"
     assert [state_at(trouble, s) for s in (2.9, 3.1, 5.9, 6.1)] == [None, said, said, None]
     assert dict(trouble.colours) == {said: FAILED}
 
 
+def test_trouble_that_nothing_follows_lasts_to_the_end(steps):
+    first = steps.filter((pl.col("plan_index") == 0) & (pl.col("operator") != "recover_release"))
+    _, trouble = plan_lanes_of(first, 10 * 10**9)
+    assert [state_at(trouble, s) is not None for s in (2.9, 3.1, 9.9, 10.1)] == [False, True, True, False]
+
+
 def test_a_plan_without_trouble_has_no_trouble_lane(steps):
-    assert len(plan_lanes_of(steps.filter(pl.col("failure").is_null()))) == 1
+    assert len(plan_lanes_of(steps.filter(pl.col("failure").is_null()), 0)) == 1
 
 
 def test_a_step_that_failed_is_red_and_says_so_and_one_that_was_not_begun_is_not_there(steps):

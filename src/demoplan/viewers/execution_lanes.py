@@ -38,12 +38,12 @@ def step_text(step: dict[str, Any]) -> str:
     return text if step["state"] not in _BAD_STATES else f"{step['state'].upper()} {text}"
 
 
-def plan_lanes_of(steps: pl.DataFrame) -> tuple[Lane, ...]:
-    """Which plan was followed when, and from where to where something was wrong."""
+def plan_lanes_of(steps: pl.DataFrame, end_ns: int) -> tuple[Lane, ...]:
+    """Which plan was followed when, and from where to where something was wrong; both until ``end_ns``."""
     rows = dispatched(steps)
     if rows.is_empty():
         return ()
-    end_ns = int(max(rows["end_ns"]))
+    end_ns = max(end_ns, int(max(rows["end_ns"])))
     begins = rows.group_by("plan_index", maintain_order=True).agg(pl.col("start_ns").min()).sort("start_ns")
     edges = [*begins["start_ns"], end_ns]
     names = [_plan_name(int(k)) for k in begins["plan_index"]]

@@ -38,6 +38,8 @@ CLOCK_TIMELINE = "clock"
 _HAND_RADIUS_M = 0.014
 _GRIP_RADIUS_M = 0.012
 _WORLD = "world"
+_NOTICES_S = 7.0
+"""How long the viewer's notices stay at most, each frame drawn by software [s]."""
 
 # Heights in the viewer at its usual scale, from which the shares of the layout come.
 _HEADER_PX = 84.0
@@ -109,6 +111,7 @@ def picture(path: Path, png: Path, *, at_ns: int | None, size_px: tuple[int, int
         DemoplanError: If the viewer does not start or does not answer in time.
     """
     with _headless_viewer(size_px, timeout_s) as client:
+        begun = time.monotonic()
         try:
             client.open(str(path.resolve()))
             deadline = time.monotonic() + timeout_s
@@ -116,8 +119,9 @@ def picture(path: Path, png: Path, *, at_ns: int | None, size_px: tuple[int, int
                 time.sleep(0.1)
             if at_ns is not None:
                 client.set_time(EPISODE_TIMELINE, duration=at_ns * 1e-9)
-            # The camera eases to its place and the time axes settle over the first frames.
-            for _ in range(3):
+            # The camera eases to its place, time axes settle over the first frames, and what the viewer has
+            # to say about the machine lies over the views for a while: the picture is taken after that.
+            while time.monotonic() < begun + _NOTICES_S:
                 client.take_screenshot()
                 time.sleep(0.3)
             png.write_bytes(client.take_screenshot())
