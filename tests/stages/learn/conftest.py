@@ -80,6 +80,8 @@ class Recorder:
         if predicate == "onTop" and names[1] != "table":
             # Derived, and so at the same instant.
             self.events.append((at_s, not on, Atom("clear", (names[1],))))
+        if predicate == "inHand":
+            self.events.append((at_s, not on, Atom("clear", (names[1],))))
 
     def segment(self, start_s, activity, acted_on=None, in_hand=None):
         self.rows.append([start_s, activity, acted_on, in_hand])

@@ -102,11 +102,10 @@ def read_courses(
     predicate, arguments = data.atom_predicate[own_atom], data.atom_arguments[own_atom]
     n = len(seen)
     # Columns lie together: whatever goes along courses takes one time of all of them at once.
-    n_true = np.zeros((n, n_times), order="F")
     row = np.searchsorted(seen, track[owner] * n_atoms + atom)
-    np.add.at(n_true, (row, time[owner]), weight[owner])
-    n_read = np.zeros((len(chosen), n_times))
-    np.add.at(n_read, (track, time), weight)
+    counts: Floats = np.bincount(time[owner] * n + row, weight[owner], n * n_times).astype(np.float64)
+    n_true = counts.reshape(n_times, n).T
+    n_read = np.bincount(track * n_times + time, weight, len(chosen) * n_times).reshape(-1, n_times)
     is_unknown = np.zeros((n, n_times), dtype=bool)
     row = np.searchsorted(seen, track[missing_owner] * n_atoms + missing_atom)
     is_unknown[row, time[missing_owner]] = True

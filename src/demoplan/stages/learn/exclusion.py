@@ -18,7 +18,7 @@ from math import lgamma, log, log1p
 import numpy as np
 from numpy.typing import NDArray
 
-from demoplan.stages.learn.courses import Courses, Tracks
+from demoplan.stages.learn.courses import Courses, Floats, Tracks
 from demoplan.stages.learn.encode import Encoded, Ints
 from demoplan.stages.learn.misreadings import MendParams, Rates, Smoothed, read_log_odds, smooth
 
@@ -109,16 +109,14 @@ def _measured(
     """
     names, key = np.unique(owner, return_inverse=True)
     shape = (len(names), is_true.shape[1])
-    is_state, is_new = np.zeros(shape, dtype=bool), np.zeros(shape, dtype=bool)
+    is_state = np.zeros(shape, dtype=bool)
     is_state[key] = within
     changes = np.c_[np.ones(len(key), dtype=bool), is_true[:, 1:] != is_true[:, :-1]] & within
-    np.logical_or.at(is_new, key, changes)
+    is_new = _summed(changes, key, len(names)) > 0
     counts = []
     for code, _ in members:
         own = predicate == code
-        count = np.zeros(shape, dtype=np.int64)
-        np.add.at(count, key[own], is_true[own] & within[own])
-        counts.append(count[is_state])
+        counts.append(_summed(is_true[own] & within[own], key[own], len(names))[is_state].astype(np.int64))
     n_states = len(counts[0])
     if not all(count.any() for count in counts):
         return None
@@ -148,8 +146,19 @@ def _measured(
         n_many=many,
         expected_many=chance * n_states,
         log_bayes_factor=exclusive - independent,
-        weight_none=float(np.clip(shown / max(usual, 1e-9), 0.01, 1.0)),
+        # That a hand is neither open nor holds is what ends of activities fall into; it is settled later.
+        weight_none=float(np.clip(shown / max(usual, 1e-9), 0.01, 1.0)) if len(members) == 1 else 1.0,
     )
+
+
+def _summed(values: NDArray[np.bool_] | Floats, key: Ints, n: int) -> Floats:
+    """Rows of equal key added up, shape (n, times)."""
+    result = np.zeros((n, values.shape[1]))
+    if len(key):
+        order = np.argsort(key, kind="stable")
+        first = np.flatnonzero(np.r_[True, key[order][1:] != key[order][:-1]])
+        result[key[order][first]] = np.add.reduceat(values[order].astype(np.float64), first, axis=0)
+    return result
 
 
 def _log_beta_binomial(n_many: float, n_fine: float) -> float:
@@ -188,8 +197,7 @@ def smooth_exclusively(
     for _ in range(params.n_exclusion_rounds if spots else 0):
         for number, (rows, key, group) in enumerate(spots):
             cavity = np.exp(np.clip(believed.log_odds[rows] - messages[number], -30, 30))
-            together = np.zeros((int(key.max()) + 1, cavity.shape[1]))
-            np.add.at(together, key, cavity)
+            together = _summed(cavity, key, int(key.max()) + 1)
             others = np.maximum(together[key] - cavity, 0.0)
             message = np.log1p(_SLIP * others) - np.log(group.weight_none + others)
             told[rows] += 0.5 * (message - messages[number])

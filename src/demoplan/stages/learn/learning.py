@@ -71,19 +71,27 @@ def learn(
     mended = mend(data, types, params.mend)
     settled = settle(mended.data, types, params)
     lifted = lift(mended.data, bind_roles(mended.data, settled, params), settled, params)
-    drafts = drafts_of_logs(lifted, types, data.predicates, params)
+    misread_rate = mended.rates.overall if mended.is_needed else 0.0
+    drafts = drafts_of_logs(lifted, types, data.predicates, params, misread_rate)
     learned = tables_of(drafts, data.table, data.names, lifted, params)
     return learned._replace(findings=findings_of(mended, lifted, _named(drafts)))
 
 
 def drafts_of_logs(
-    lifted: Lifted, types: TypeHierarchy, predicates: Sequence[Signature], params: LearnParams
+    lifted: Lifted,
+    types: TypeHierarchy,
+    predicates: Sequence[Signature],
+    params: LearnParams,
+    misread_rate: float = 0.0,
 ) -> list[Draft]:
-    """Operators of logged activities: they depend on patterns and their counts alone."""
+    """Operators of logged activities: they depend on patterns and their counts alone.
+
+    Where readings are wrong at some rate, what is no more frequent than that is not believed.
+    """
     drafts = merge(lifted, types, predicates, params, LOGGED)
     drafts = [keep_apart(draft, lifted.patterns, types, predicates, params) for draft in drafts]
     drafts = [check_balance(draft, lifted.patterns, params) for draft in drafts]
-    return list(keep_plannable(prune(drafts, params), params))
+    return list(keep_plannable(prune(drafts, params, misread_rate), params))
 
 
 def tables_of(

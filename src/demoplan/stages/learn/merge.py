@@ -290,7 +290,8 @@ def _effect(
     probability = belief.added if value else belief.deleted
     is_kept = probability >= params.min_probability
     note = None if is_kept else "counts speak for chance or for no change"
-    is_usual = support > against and n_made > cells[not value, not value]
+    n_known = support + against
+    is_usual = support > against and n_made > max(cells[not value, not value], n_known / 4)
     if not is_kept and is_usual and relevance.is_link(atom):
         is_kept, note = True, _LINK
     return Candidate(

@@ -152,7 +152,7 @@ def _insist(draft: Draft, atom: LiftedAtom) -> Draft:
     )
 
 
-def prune(drafts: Sequence[Draft], params: LearnParams) -> list[Draft]:
+def prune(drafts: Sequence[Draft], params: LearnParams, misread_rate: float = 0.0) -> list[Draft]:
     """Quarantine drafts that are better explained as a mistake, or that say nothing others do not.
 
     What an operator changes of hold and support is its substance. A draft without substance beside one
@@ -173,10 +173,22 @@ def prune(drafts: Sequence[Draft], params: LearnParams) -> list[Draft]:
         if draft.quarantine:
             continue
         others = [each for place, each in enumerate(result) if place != position and not each.quarantine]
-        reason = _superfluous(draft, others, noise, params)
+        reason = _superfluous(draft, others, noise, params) or _invented(draft, drafts, misread_rate, params)
         if reason:
             result[position] = replace(draft, quarantine=reason)
     return result
+
+
+def _invented(draft: Draft, drafts: Sequence[Draft], misread_rate: float, params: LearnParams) -> str | None:
+    """Why a draft is likelier made of misreadings, where there are some, whatever it changes."""
+    if misread_rate <= 0 or not _substance(draft):
+        return None
+    n_activity = sum(each.count for each in drafts if each.activity == draft.activity)
+    if draft.count < n_activity:
+        noise = Noise(misread_rate, params.noise_weight)
+        if is_mistake(draft.count, n_activity, noise) >= params.min_probability:
+            return f"so rare that misreadings explain it, of which there are {misread_rate:.0%}"
+    return None
 
 
 def _substance(draft: Draft) -> frozenset[tuple[object, ...]]:
