@@ -12,6 +12,7 @@ from demoplan.language.domains import Domain
 from demoplan.language.pddl import domain_id, parse_domain, render_domain
 from demoplan.language.vocabulary import Vocabulary
 from demoplan.pipeline.activities import tables_of
+from demoplan.pipeline.counting import MANY, learn_many
 from demoplan.stages.compose import compose, support_of
 from demoplan.stages.learn import LearnParams, learn
 from demoplan.store import DomainVersion, EpisodeState, Store
@@ -55,8 +56,11 @@ def learn_domain(
     call = learn_call(chosen, vocabulary, params)
 
     def work() -> StageOutput:
-        transitions = tables_of(store, chosen, "transitions", Transitions)
-        learned = learn(transitions, vocabulary.types, predicates, params)
+        if len(chosen) > MANY:
+            learned = learn_many(store, chosen, vocabulary, params)
+        else:
+            transitions = tables_of(store, chosen, "transitions", Transitions)
+            learned = learn(transitions, vocabulary.types, predicates, params)
         schemas = (Operators, Literals, Evidence, Findings)
         return StageOutput(tables=dict(zip(learned._fields, zip(learned, schemas, strict=True), strict=True)))
 
@@ -110,7 +114,7 @@ def learn_call(
     return (
         {"transitions": content_hash(*(f"{s.episode_id}={s.tables['transitions']}" for s in ordered))},
         canonical_json(settings),
-        code_version("demoplan.stages.learn", "demoplan.stages.compose"),
+        code_version("demoplan.stages.learn.counting", "demoplan.stages.compose"),
     )
 
 

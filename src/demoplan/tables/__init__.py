@@ -19,6 +19,7 @@ from demoplan.tables.operators import Evidence, Literals, Operators
 from demoplan.tables.plans import Plans
 from demoplan.tables.samples import Samples
 from demoplan.tables.scores import Scores
+from demoplan.tables.sightings import Patterns, Sightings, Votes
 from demoplan.tables.transitions import Transitions
 
 __all__ = [
@@ -33,10 +34,13 @@ __all__ = [
     "Frames",
     "Literals",
     "Operators",
+    "Patterns",
     "Plans",
     "Runs",
     "Samples",
     "Scores",
+    "Sightings",
     "Topics",
     "Transitions",
+    "Votes",
 ]
