@@ -96,12 +96,13 @@ class TaskCrew:
     deaths: tuple[type[BaseException], ...]
     """What is raised when workers died over a task as often as it may be tried."""
     n_workers: int
+    most_orders: int = MOST_ORDERS
 
     def __call__(
         self, work: Callable[[Order], Result], orders: Sequence[Order]
     ) -> Iterator[tuple[Order, Result | None]]:
         """See ``Crew``. When workers died over a task, its orders are tried one by one."""
-        size = max(1, min(MOST_ORDERS, len(orders) // (2 * self.n_workers)))
+        size = max(1, min(self.most_orders, len(orders) // (2 * self.n_workers)))
         batches = deque(orders[i : i + size] for i in range(0, len(orders), size))
         given: deque[tuple[Sequence[Order], Any]] = deque()
         while batches or given:
