@@ -27,6 +27,10 @@ MonitorOption = Annotated[
     list[str] | None,
     typer.Option("--monitor", help="full, preconditions, none; evaluate takes several."),
 ]
+SkillsOption = Annotated[
+    Path | None,
+    typer.Option("--skills", metavar="FILE", help="Which motion carries out which activity: your own table."),
+]
 
 
 def register(app: typer.Typer) -> None:
@@ -63,6 +67,10 @@ def execute(
         Path | None,
         typer.Option("--scene", metavar="FILE", help="Scene; without one, four cubes at random places."),
     ] = None,
+    state: Annotated[
+        str | None,
+        typer.Option("--state", "-s", help="Scene of an episode: EPISODE@start, @end or @SECONDS."),
+    ] = None,
     robot: RobotOption = "gripper",
     seed: Annotated[int, typer.Option(min=0, help="Seed of scene, sensors and faults.")] = 0,
     monitor: MonitorOption = None,
@@ -73,18 +81,21 @@ def execute(
     view: Annotated[
         Path | None, typer.Option("--view", metavar="FILE.rrd", help="Save a recording of the run.")
     ] = None,
+    skills: SkillsOption = None,
     store: StoreOption = DEFAULT_STORE,
     as_json: JsonOption = False,
 ) -> None:
     """Plan, and let a simulated robot do it, watched and replanned. Exit code 1 if the goal is missed."""
     from demoplan.engines.mujoco.scene_spec import read_scene
-    from demoplan.engines.mujoco.session import open_session
+    from demoplan.engines.mujoco.skills import read_skills
+    from demoplan.errors import DemoplanError
     from demoplan.manifests.faults import read_faults
     from demoplan.manifests.goals import GoalCase
     from demoplan.pipeline.evaluate import scene_of
     from demoplan.pipeline.execute import ExecuteParams
-    from demoplan.pipeline.execute import execute as run_plan
     from demoplan.pipeline.learning import stored_domain
+    from demoplan.pipeline.run_jobs import RunJob, carry_out, not_started
+    from demoplan.pipeline.scenes import scene_of_state
 
     monitors = _checked(monitor or ("full",), robot)
     if len(monitors) != 1:
@@ -95,18 +106,29 @@ def execute(
     known = {each.name: each for each in (read_faults(faults) if faults else ())}
     if fault is not None and fault not in known:
         raise UnknownNameError("fault", fault, known, str(faults or "no --faults file"))
-    spec = read_scene(scene) if scene else scene_of(GoalCase(name="goal", goal=goal), seed)
-    done = run_plan(
-        learned.domain,
-        goal,
-        open_session(spec, robot, seed=seed),
-        vocabulary,
+    if scene is not None and state is not None:
+        raise UsageError("give --scene or --state: a scene comes from one of them")
+    case = GoalCase(name="goal", goal=goal)
+    spec = scene_of_state(opened, state) if state else read_scene(scene) if scene else scene_of(case, seed)
+    job = RunJob(
+        store=opened.location,
+        domain_text=learned.text,
+        domain_name=learned.version.name,
+        goal=case,
+        robot=robot,
         seed=seed,
-        domain_id=str(learned.version.domain_id),
         fault=known[fault] if fault is not None else None,
-        params=ExecuteParams(monitor=monitors[0]),
+        vocabulary=vocabulary,
+        params=ExecuteParams(monitor=monitors[0], skills=read_skills(skills)),
+        scene=spec,
     )
-    row = done.run.row(0, named=True)
+    try:
+        done = carry_out(job)
+    except DemoplanError as error:
+        if as_json:
+            print_json({"run": not_started(job, str(error)).row(0, named=True), "steps": []})
+        raise
+    row = done.run.row(0, named=True) | {"goal": goal}
     if as_json:
         print_json({"run": row, "steps": done.steps})
     else:
@@ -158,15 +180,18 @@ def evaluate(
     views: Annotated[
         Path | None, typer.Option("--views", metavar="DIR", help="Save a recording of every run.")
     ] = None,
+    skills: SkillsOption = None,
     store: StoreOption = DEFAULT_STORE,
     workers: WorkersOption = 0,
     as_json: JsonOption = False,
 ) -> None:
     """Execute every domain × goal × seed × fault × monitor; what was run before is not run again."""
+    from demoplan.engines.mujoco.skills import read_skills
     from demoplan.manifests.faults import read_faults
     from demoplan.manifests.goals import read_goals
     from demoplan.pipeline.evaluate import evaluate as run_all
     from demoplan.pipeline.evaluate import jobs_of
+    from demoplan.pipeline.execute import ExecuteParams
     from demoplan.stages.score_runs import fault_confusion, score_runs
 
     monitors = _checked(monitor or ("full",), robot)
@@ -183,6 +208,7 @@ def evaluate(
         robot=robot,
         faults=injected,
         monitors=monitors,
+        params=ExecuteParams(skills=read_skills(skills)),
         folder=goals.parent,
         is_recorded=views is not None,
     )
@@ -242,10 +268,13 @@ def serve_goals(
     robot: RobotOption = "gripper",
     seed: Annotated[int, typer.Option(min=0, help="Seed of scene and sensors.")] = 0,
     port: Annotated[int, typer.Option(min=0, max=65535, help="Port on loopback; 0 takes a free one.")] = 9090,
+    skills: SkillsOption = None,
     store: StoreOption = DEFAULT_STORE,
 ) -> None:
     """Offer /demoplan/plan_goal and /demoplan/execute_goal to rosbridge clients, on loopback only."""
+    from demoplan.engines.mujoco.skills import read_skills
     from demoplan.engines.rosbridge import serve
+    from demoplan.pipeline.execute import ExecuteParams
     from demoplan.pipeline.goal_service import GoalService
     from demoplan.pipeline.learning import stored_domain
 
@@ -253,7 +282,14 @@ def serve_goals(
     opened = existing_store(store)
     learned = stored_domain(opened, domain)
     vocabulary = _vocabulary(opened, learned.version.dataset)
-    service = GoalService(learned.domain, vocabulary, scene=scene, robot=robot, seed=seed)
+    service = GoalService(
+        learned.domain,
+        vocabulary,
+        scene=scene,
+        robot=robot,
+        seed=seed,
+        params=ExecuteParams(skills=read_skills(skills)),
+    )
     serve(
         service.services(),
         port=port,

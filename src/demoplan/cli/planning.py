@@ -49,6 +49,10 @@ def plan(
             "--most-frequent", help="Plan with the operators shown most often; widen if there is no plan."
         ),
     ] = False,
+    robot: Annotated[
+        str | None,
+        typer.Option("--robot", help="Also say whether this robot gets everywhere: gripper, tiago, …"),
+    ] = None,
     time_limit: Annotated[float, typer.Option(min=0.1, help="Wall-clock time for everything [s].")] = 30.0,
     memory_limit: Annotated[int, typer.Option(min=64, help="Memory of each planner [MiB].")] = 2048,
     output: Annotated[
@@ -64,11 +68,28 @@ def plan(
 
     opened = existing_store(store)
     learned = stored_domain(opened, domain)
-    problem = problem_of(learned.domain, start_of(state, opened, learned.domain), goal)
+    start = start_of(state, opened, learned.domain)
+    if robot is not None:
+        from demoplan.pipeline.reaching import open_for, reach_of_plan, with_hands_of
+        from demoplan.pipeline.scenes import scene_of_state
+
+        session = open_for(scene_of_state(opened, state), robot)
+        start = with_hands_of(start, session, learned.domain)
+    problem = problem_of(learned.domain, start, goal)
     params = SolveParams(wall_s=time_limit, memory_bytes=memory_limit * 2**20)
     answer = make_plan(learned.domain, problem, params, is_widening=most_frequent)
+    out_of_reach = None
+    if robot is not None and answer.plan is not None:
+        out_of_reach = reach_of_plan(answer.plan, learned.domain, session)
     if as_json:
-        print_json({"attempts": answer.rows, "missing": answer.missing, "impossible": answer.impossibility})
+        print_json(
+            {
+                "attempts": answer.rows,
+                "missing": answer.missing,
+                "impossible": answer.impossibility,
+                "out_of_reach": out_of_reach,
+            }
+        )
     elif answer.plan is not None:
         for number, step in enumerate(answer.plan.steps, 1):
             stdout.print(f"{number:3}  {step}", markup=False)
@@ -78,12 +99,15 @@ def plan(
             say(f"attempt {attempt['attempt'] + 1}: {attempt['outcome']}: {attempt['message']}")
     if answer.impossibility is not None:
         say(f"the plan could not happen in any world: {answer.impossibility}")
+    if out_of_reach is not None:
+        say(f"{robot} cannot carry it out: {out_of_reach}")
     if answer.missing:
         say(answer.missing)
     if answer.plan is not None and output is not None:
         text = "".join(f"{step}\n" for step in answer.plan.steps)
         write_bytes(output, text.encode())
-    raise typer.Exit(int(Exit.FINE if answer.plan is not None else Exit.FAILED))
+    is_fine = answer.plan is not None and out_of_reach is None
+    raise typer.Exit(int(Exit.FINE if is_fine else Exit.FAILED))
 
 
 def learn_traces(

@@ -1,6 +1,6 @@
 """Domains × goals × seeds × faults × monitors, executed on all cores: resumable, a row per run and step."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
@@ -9,86 +9,20 @@ import polars as pl
 
 from demoplan.engines.mujoco.scene_spec import RandomSceneParams, SceneSpec, random_scene, read_scene
 from demoplan.errors import DemoplanError, UsageError
-from demoplan.ids import content_hash
-from demoplan.language.pddl import domain_id, parse_domain
+from demoplan.language.pddl import parse_domain
 from demoplan.language.vocabulary import Vocabulary
 from demoplan.manifests.faults import AnyFault
 from demoplan.manifests.goals import GoalCase
 from demoplan.pipeline.batch import run_batch
-from demoplan.pipeline.execute import ExecuteParams, execute, run_rows, step_rows
+from demoplan.pipeline.execute import ExecuteParams, step_rows
 from demoplan.pipeline.recoverability import Recoverability, recoverability
+from demoplan.pipeline.run_jobs import RunJob, carry_out, case_of, not_started
 from demoplan.store import Store
-from demoplan.store.code_version import code_version
-from demoplan.store.store import StageOutput, canonical_json
+from demoplan.store.store import StageOutput
 from demoplan.tables import Executions, FaultCases, Frames, Runs
-
-CODE = (
-    "demoplan.pipeline.executing",
-    "demoplan.pipeline.execute",
-    "demoplan.pipeline.evaluate",
-    "demoplan.pipeline.replanning",
-    "demoplan.pipeline.senses",
-    "demoplan.pipeline.faults",
-    "demoplan.pipeline.injecting",
-    "demoplan.pipeline.recoverability",
-    "demoplan.stages.monitor",
-    "demoplan.stages.diagnose",
-    "demoplan.stages.perceive",
-    "demoplan.language.dispatch",
-    "demoplan.language.momentary",
-    "demoplan.engines.mujoco",
-)
-"""What a run's outcome depends on, beside its inputs: a change of any of these runs it anew."""
 
 RUN_STAGE, CASE_STAGE = "execute", "fault-case"
 """Names of the store's records."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class RunJob:
-    """All that a process needs to make one run. Domains travel as text: that is what their id stands for."""
-
-    store: str
-    domain_text: str
-    domain_name: str
-    goal: GoalCase
-    robot: str
-    seed: int
-    fault: AnyFault | None
-    vocabulary: Vocabulary
-    params: ExecuteParams
-    scene: SceneSpec
-    is_recorded: bool = False
-    """Whether the poses are kept, to be looked at."""
-
-    @property
-    def run_id(self) -> str:
-        """Hash of everything that the run is made of."""
-        return content_hash(canonical_json(self._inputs()), self._params())[:32]
-
-    def _inputs(self) -> dict[str, str]:
-        return {
-            "domain": content_hash(self.domain_text),
-            "goal": self.goal.goal,
-            "scene": content_hash(self.scene.model_dump_json()),
-            "vocabulary": content_hash(canonical_json(asdict(self.vocabulary))),
-        }
-
-    def _params(self) -> str:
-        return canonical_json(
-            {
-                "names": [self.domain_name, self.goal.name],
-                "robot": self.robot,
-                "seed": self.seed,
-                "fault": None if self.fault is None else self.fault.model_dump(mode="json"),
-                "params": asdict(self.params),
-                "is_recorded": self.is_recorded,
-            }
-        )
-
-    def key(self) -> tuple[Mapping[str, str], str, str]:
-        """Inputs, parameters and code version, for the store."""
-        return self._inputs(), self._params(), code_version(*CODE)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -180,27 +114,12 @@ def run_job(job: RunJob) -> str:
     Whatever cannot be started is a row that says so: an unknown object in the goal, a robot that is not
     installed, a scene whose objects stand in each other.
     """
-    from demoplan.engines.mujoco.session import open_session  # noqa: PLC0415 - a heavy import, once a process
 
     def make() -> StageOutput:
-        domain = parse_domain(job.domain_text)
         try:
-            session = open_session(job.scene, job.robot, seed=job.seed)
-            done = execute(
-                domain,
-                job.goal.goal,
-                session,
-                job.vocabulary,
-                run_id=job.run_id,
-                seed=job.seed,
-                domain_id=str(domain_id(domain)),
-                domain_name=job.domain_name,
-                goal_name=job.goal.name,
-                fault=job.fault,
-                params=job.params,
-            )
+            done = carry_out(job)
         except DemoplanError as error:
-            run = not_started(job, str(domain_id(domain)), f"{type(error).__name__}: {error}")
+            run = not_started(job, f"{type(error).__name__}: {error}")
             return StageOutput(tables={"runs": (run, Runs), "executions": (step_rows([]), Executions)})
         tables: dict[str, tuple[pl.DataFrame, type[dy.Schema]]] = {
             "runs": (done.run, Runs),
@@ -212,11 +131,6 @@ def run_job(job: RunJob) -> str:
         return StageOutput(tables=tables, notes={"scene": job.scene.model_dump_json()})
 
     return str(Store(job.store).run(RUN_STAGE, *job.key(), make).key)
-
-
-def case_of(job: RunJob) -> RunJob:
-    """The job that decides, for all monitors, whether anybody could recover from the job's fault."""
-    return replace(job, params=replace(job.params, monitor="none"), is_recorded=False)
 
 
 def decide_case(job: RunJob) -> str:
@@ -244,45 +158,6 @@ def decide_case(job: RunJob) -> str:
         return StageOutput(tables={"cases": (FaultCases.validate(row), FaultCases)})
 
     return str(Store(job.store).run(CASE_STAGE, *job.key(), make).key)
-
-
-def not_started(job: RunJob, domain: str, reason: str) -> dy.DataFrame[Runs]:
-    """The row of a run that could not begin, or did not come back."""
-    from demoplan.pipeline.faults import CLASS_OF_KIND  # noqa: PLC0415
-
-    fault = job.fault
-    return run_rows(
-        [
-            {
-                "run_id": job.run_id,
-                "domain_id": domain,
-                "domain_name": job.domain_name,
-                "goal": job.goal.name,
-                "robot": job.robot,
-                "monitor": job.params.monitor,
-                "seed": job.seed,
-                "fault": None if fault is None else fault.name,
-                "fault_kind": None if fault is None else fault.kind,
-                "fault_class": None if fault is None else CLASS_OF_KIND[fault.kind],
-                "severity": None if fault is None else fault.severity,
-                "is_fault_injected": False,
-                "fault_ns": None,
-                "is_recoverable": None,
-                "is_goal_reached": False,
-                "is_goal_sensed": False,
-                "outcome": "not_started",
-                "reason": reason,
-                "n_plans": 0,
-                "n_steps": 0,
-                "n_discrepancies": 0,
-                "n_passed": 0,
-                "n_false_alarms": 0,
-                "n_unsound": 0,
-                "diagnosed": None,
-                "simulated_s": 0.0,
-            }
-        ]
-    )
 
 
 def evaluate(
@@ -356,7 +231,7 @@ def _decided(store: Store, case: RunJob) -> bool | None:
 
 def _record(store: Store, job: RunJob, lost: str | None, is_recoverable: bool | None) -> RunRecord:
     if lost is not None:
-        run = not_started(job, str(content_hash(job.domain_text)[:16]), lost)
+        run = not_started(job, lost)
         return RunRecord(job=job, run=run, steps=step_rows([]), frames=None)
     record = store.run(RUN_STAGE, *job.key(), _never)
     run = store.get(record.outputs["runs"], Runs)

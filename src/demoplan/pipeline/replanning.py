@@ -3,18 +3,16 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from demoplan.engines.fast_downward import Attempt, SolveParams, solve
-from demoplan.engines.mujoco.session import Session
-from demoplan.engines.mujoco.skills import SkillTable, motion_of
+from demoplan.engines.mujoco.skills import SkillTable
 from demoplan.errors import DemoplanError
 from demoplan.language.atoms import Atom, Literal
 from demoplan.language.domains import Domain, Operator, Plan, Problem
 from demoplan.language.execution import GroundOperator
 from demoplan.language.momentary import Momentary
 from demoplan.language.possibility import impossibility
-from demoplan.pipeline.senses import TABLE, Senses
+from demoplan.pipeline.reaching import out_of_reach
+from demoplan.pipeline.senses import Senses
 from demoplan.stages.ask import ask
 from demoplan.stages.monitor import SensedState
 
@@ -106,7 +104,9 @@ def _checked(plan: Plan, domain: Domain, problem: Problem, senses: Senses, skill
             reason=f"the plan could not happen: {refuted}",
             n_possible=n_possible,
         )
-    reason = out_of_reach(plan, domain, senses, skills)
+    places = {name: senses.position(name) for name in senses.objects}
+    seen = {name: place for name, place in places.items() if place is not None}
+    reason = out_of_reach(plan, domain, senses.session, seen, skills)
     if reason is not None:
         return Planned(plan=None, domain=domain, outcome="out_of_reach", reason=reason)
     return Planned(plan=plan, domain=domain, outcome="solved", reason="")
@@ -115,38 +115,6 @@ def _checked(plan: Plan, domain: Domain, problem: Problem, senses: Senses, skill
 def _is_refuted(plan: Plan, n: int, problem: Problem, domain: Domain) -> bool:
     """Whether the step after the first ``n`` could not happen."""
     return impossibility(problem, domain, Plan(plan.steps[: n + 1])) is not None
-
-
-def out_of_reach(plan: Plan, domain: Domain, senses: Senses, skills: SkillTable) -> str | None:
-    """The first place of a plan that its hand cannot get to, before anything moves; None if there is none.
-
-    Places are where objects are seen now, and where the plan's own steps put them: a tower grows by the
-    height of each object that is put on it.
-    """
-    session: Session = senses.session
-    heights = {each.name: each.size_xyz_m[2] for each in session.scene.objects}
-    places: dict[str, np.ndarray] = {}
-    for name in heights:
-        seen = senses.position(name)
-        if seen is not None:
-            places[name] = seen
-    told: set[tuple[str, str, tuple[float, ...]]] = set()
-    for number, step in enumerate(plan.steps, 1):
-        hand, motion = motion_of(step, domain, skills)
-        thing, support = motion.object, motion.support
-        if thing is None or thing not in places:
-            continue
-        if support is not None and support != TABLE and support in places:
-            rise = (heights[support] + heights[thing]) / 2
-            places[thing] = places[support] + np.array([0.0, 0.0, rise])
-        spot = tuple(float(value) for value in np.round(places[thing], 3))
-        if (hand, thing, spot) in told:
-            continue
-        told.add((hand, thing, spot))
-        why = session.can_reach(hand, (spot[0], spot[1], spot[2]))
-        if why is not None:
-            return f"step {number}, {step}: {hand} cannot get to {thing} at {spot}: {why}"
-    return None
 
 
 def amended(

@@ -38,7 +38,7 @@ def test_a_robot_reaches_a_goal_by_physics_and_is_not_run_twice(jobs, monkeypatc
     (run,) = first.runs.iter_rows(named=True)
     assert run["is_goal_reached"]
     assert run["n_unsound"] == run["n_false_alarms"] == 0
-    monkeypatch.setattr(evaluating, "execute", lambda *_, **__: pytest.fail("it was run again"))
+    monkeypatch.setattr(evaluating, "carry_out", lambda *_, **__: pytest.fail("it was run again"))
     again = evaluate(jobs(), n_workers=1)
     assert_frame_equal(first.runs, again.runs)
     assert_frame_equal(first.steps, again.steps)
@@ -106,7 +106,7 @@ def test_a_run_can_be_looked_at(learned_domain, tabletop, new_session, four_cube
     from demoplan.pipeline.execute import execute
 
     done = execute(learned_domain, ONE.goal, new_session(four_cubes), tabletop)
-    path = record_run(done.frames, done.steps, four_cubes, tabletop, tmp_path / "run.rrd")
+    path = record_run(done.run, done.steps, done.frames, four_cubes, tabletop, tmp_path / "run.rrd")
     assert path.stat().st_size > 10_000
 
 

@@ -190,10 +190,12 @@ class Discrepancies:
         return n_equal
 
     def _is_to_let_go(self, running: Running, report: MotionReport) -> bool:
-        """Whether the hand is still closed about what perception says it lost, or did not let go."""
+        """Whether hand and perception disagree about what is held: opening brings both to the same answer."""
+        if report.problem in {"still_holding", "not_holding"}:
+            return True
         in_hand = Atom(self._params.holding, (running.bound.hand, running.bound.motion.object or ""))
         is_lost = in_hand in running.before.held and in_hand not in self._senses.look().held
-        return report.problem == "still_holding" or (is_lost and report.state != "succeeded")
+        return is_lost and report.state != "succeeded"
 
     def _gone_objects(self) -> frozenset[str]:
         session, gone_s = self._senses.session, self._params.diagnosing.gone_s
