@@ -7,8 +7,8 @@ One command prints the table, in some minutes::
 
 Measured is processor time (user and system) of everything that takes part, once it is warm: this process,
 Prefect's server with its database, the cluster's scheduler and its two workers. *Nothing* are tasks that take
-the orders of real episodes and do no work; *work* is ingesting and segmenting the same episodes in one process
-without any of it, into an empty store. The share is nothing ÷ (nothing + work).
+the orders of real episodes and do no work; *work* is ingesting and segmenting the same episodes in one
+process without any of it, into an empty store. The share is nothing ÷ (nothing + work).
 """
 
 import argparse
@@ -113,8 +113,9 @@ async def nothing(runner: str, orders: list[tuple[Any, ...]], in_task: int) -> d
 
     def give() -> None:
         place = crews.workplace(runner, None, 2)
-        with crews.crew_of(place) as crew:
-            if dataclasses.is_dataclass(crew) and hasattr(crew, "most_orders"):
+        with crews.crew_of(place) as found:
+            crew = found
+            if isinstance(crew, crews.TaskCrew):
                 crew = dataclasses.replace(crew, most_orders=in_task)
             list(crew(len, orders[: 4 * in_task]))  # starts the workers, and what they import
             with timed(spent):
@@ -135,11 +136,12 @@ def main() -> None:
     parser.add_argument("--runner", choices=RUNNERS, action="append", help="only this one")
     parser.add_argument("--in-task", type=int, action="append", help="orders in a task [1 and the default]")
     options = parser.parse_args()
-    with tempfile.TemporaryDirectory(prefix="demoplan-") as folder:
+    with tempfile.TemporaryDirectory(prefix="demoplan-", ignore_cleanup_errors=True) as folder:
         os.environ |= {
             "PREFECT_HOME": folder,
             "PREFECT_SERVER_EPHEMERAL_STARTUP_TIMEOUT_SECONDS": "300",
             "PREFECT_LOGGING_LEVEL": "ERROR",
+            "PREFECT_LOGGING_SERVER_LEVEL": "CRITICAL",
         }
         from flows import crews
 
