@@ -105,7 +105,7 @@ def test_episodes_alone_make_a_report(episodes):
     page = Page(render_report(ReportContent(dataset="bare", episodes=episodes)))
     ids = {value for _, name, value in page.attributes if name == "id"}
     # The failures come from the episodes themselves.
-    assert ids == {"episodes", "failures", "glossary"}
+    assert ids == {"content", "episodes", "failures", "glossary"}
 
 
 def test_a_quarantined_episode_is_told_with_its_reason_before_any_result(page):

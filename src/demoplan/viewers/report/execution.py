@@ -1,45 +1,85 @@
-"""Runs as one page: goals against domains, scores with intervals, faults, and what ended badly."""
+"""Runs as one page: goals against domains, faults against monitors, scores, and what ended badly."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import dataframely as dy
 import polars as pl
-from jinja2 import Environment, PackageLoader, StrictUndefined
-from markupsafe import Markup
 
 from demoplan.tables import Executions, Runs, Scores
-from demoplan.viewers.report.markup import interval_bar, number, visible
+from demoplan.viewers.report.markup import counted, interval_bar
+from demoplan.viewers.report.page import page_of
+
+_SHOWN_TROUBLES = 300
 
 
 @dataclass(frozen=True, kw_only=True)
 class RunMatrix:
-    """How often each goal was reached with each domain, for one monitor, without faults."""
+    """How often the goal was reached, for each of some rows and columns."""
 
     monitor: str
-    domains: tuple[str, ...]
-    rows: tuple[tuple[str, tuple[tuple[int, int, str] | None, ...]], ...]
-    """(goal, ((reached, tried, most common reason of failure), …))."""
+    """Which monitor all runs had; empty if these are the columns."""
+    columns: tuple[str, ...]
+    rows: tuple[tuple[str, tuple[int, int], tuple[tuple[int, int, str] | None, ...]], ...]
+    """(name, (reached, tried) in all, ((reached, tried, most common reason of failure) per column, …))."""
+    totals: tuple[tuple[int, int], ...]
+    """(reached, tried) per column."""
+    total: tuple[int, int]
 
 
 def run_matrices(runs: pl.DataFrame) -> tuple[RunMatrix, ...]:
-    """One matrix per monitor; a cell is null where nothing was tried."""
-    matrices = []
+    """Goals against domains in runs without faults, one matrix per monitor."""
     clean = runs.filter(pl.col("fault").is_null())
-    for monitor in sorted(clean["monitor"].cast(pl.String).unique()):
-        own = clean.filter(pl.col("monitor") == monitor)
-        domains, goals = sorted(own["domain_name"].unique()), sorted(own["goal"].unique())
-        rows = []
-        for goal in goals:
-            cells: list[tuple[int, int, str] | None] = []
-            for domain in domains:
-                part = own.filter((pl.col("goal") == goal) & (pl.col("domain_name") == domain))
-                bad = part.filter(~pl.col("is_goal_reached"))
-                reasons = bad.group_by("outcome").len().sort("len", "outcome", descending=[True, False])
-                why = str(reasons.item(0, "outcome")).replace("_", " ") if reasons.height else ""
-                cells.append((part.height - bad.height, part.height, why) if part.height else None)
-            rows.append((goal, tuple(cells)))
-        matrices.append(RunMatrix(monitor=monitor, domains=tuple(domains), rows=tuple(rows)))
-    return tuple(matrices)
+    monitors = sorted(clean["monitor"].cast(pl.String).unique())
+    return tuple(
+        _matrix(clean.filter(pl.col("monitor") == monitor), "goal", "domain_name", monitor)
+        for monitor in monitors
+    )
+
+
+def fault_matrix(runs: pl.DataFrame) -> RunMatrix | None:
+    """Faults against monitors, in runs in which the fault happened; null if it did in none."""
+    faulty = runs.filter(pl.col("is_fault_injected"))
+    return None if faulty.is_empty() else _matrix(faulty, "fault", "monitor", "")
+
+
+def _matrix(runs: pl.DataFrame, row: str, column: str, monitor: str) -> RunMatrix:
+    """Runs counted by two of their columns; a cell is null where nothing was tried."""
+    named = runs.with_columns(pl.col(row, column).cast(pl.String))
+    names, columns = sorted(named[row].unique()), sorted(named[column].unique())
+    cells = {(str(key[0]), str(key[1])): part for key, part in named.group_by(row, column)}
+    rows = []
+    for name in names:
+        own = [cells.get((name, each)) for each in columns]
+        rows.append(
+            (
+                name,
+                _reached(named.filter(pl.col(row) == name)),
+                tuple(None if part is None else (*_reached(part), _usual_end(part)) for part in own),
+            )
+        )
+    return RunMatrix(
+        monitor=monitor,
+        columns=tuple(columns),
+        rows=tuple(rows),
+        totals=tuple(_reached(named.filter(pl.col(column) == each)) for each in columns),
+        total=_reached(named),
+    )
+
+
+def _reached(runs: pl.DataFrame) -> tuple[int, int]:
+    return int(runs["is_goal_reached"].sum()), runs.height
+
+
+def _usual_end(runs: pl.DataFrame) -> str:
+    """How most of the runs ended that missed the goal; empty if none did."""
+    bad = runs.filter(~pl.col("is_goal_reached"))
+    ends = bad.group_by("outcome").len().sort("len", "outcome", descending=[True, False])
+    if ends.is_empty():
+        return ""
+    # A run may believe that it reached a goal which by physics it has not.
+    end = str(ends.item(0, "outcome")).replace("_", " ")
+    return "believed reached" if end == "reached" else end
 
 
 def render_execution_report(
@@ -58,16 +98,6 @@ def render_execution_report(
         scores: Shares over them.
         confusion: ``truth``, ``named``, ``n`` of faults.
     """
-    environment = Environment(
-        loader=PackageLoader("demoplan.viewers.report"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        finalize=visible,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters["number"] = number
-    stylesheet, _, _ = environment.loader.get_source(environment, "report.css")  # type: ignore[union-attr]
     named = sorted(set(confusion["named"]))
     counts = {(t, k): n for t, k, n in confusion.select("truth", "named", "n").iter_rows()}
     troubled = runs.filter(~pl.col("is_goal_reached")).sort("domain_name", "goal", "fault", "monitor", "seed")
@@ -75,15 +105,13 @@ def render_execution_report(
         row["run_id"]: f"{row['operator']}: {row['cause']}"
         for row in steps.filter(pl.col("failure").is_not_null()).iter_rows(named=True)
     }
-    return environment.get_template("execution.html").render(
+    return page_of(
+        "execution.html",
         title=title,
-        stylesheet=Markup(stylesheet),  # noqa: S704 - ours, from beside the template
         tiles=_tiles(runs),
         matrices=run_matrices(runs),
-        scores=[
-            {**row, "drawn": interval_bar(row["value"], row["low"], row["high"], None)}
-            for row in scores.iter_rows(named=True)
-        ],
+        fault_matrix=fault_matrix(runs),
+        scores=_score_rows(scores),
         named=named,
         confusion=[
             (truth, [counts.get((truth, name), 0) for name in named])
@@ -91,10 +119,46 @@ def render_execution_report(
         ],
         troubled=[
             {**row, "cause": causes.get(row["run_id"], "")}
-            for row in troubled.head(300).iter_rows(named=True)
+            for row in troubled.head(_SHOWN_TROUBLES).iter_rows(named=True)
         ],
         n_troubled=troubled.height,
     )
+
+
+def _score_rows(scores: pl.DataFrame) -> list[dict[str, Any]]:
+    """Scores by metric, each over everything before its parts."""
+    rows = [
+        {
+            **row,
+            "monitor": row["method"].removeprefix("monitor: "),
+            "is_all": row["subject"] == "all",
+            "subject": _subject(row["subject"]),
+            "drawn": interval_bar(row["value"], row["low"], row["high"], None),
+        }
+        for row in scores.iter_rows(named=True)
+    ]
+    return sorted(rows, key=lambda row: (row["metric"], row["monitor"], not row["is_all"], row["subject"]))
+
+
+def _subject(subject: str) -> str:
+    """What a score is of, without the column's name.
+
+    >>> _subject("domain_name: p1_one"), _subject("fault_class: motion"), _subject("all")
+    ('domain: p1_one', 'fault class: motion', 'all')
+    """
+    kind, colon, name = subject.partition(": ")
+    return kind.replace("_name", "").replace("_", " ") + colon + name
+
+
+def _duration(seconds: float) -> str:
+    """A stretch of time in the unit that fits.
+
+    >>> _duration(38.2), _duration(600.0), _duration(9000.0)
+    ('38 s', '10.0 minutes', '2.5 hours')
+    """
+    if seconds < 120:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.1f} minutes" if seconds < 7200 else f"{seconds / 3600:.1f} hours"
 
 
 def _tiles(runs: pl.DataFrame) -> list[tuple[str, str, str]]:
@@ -102,10 +166,12 @@ def _tiles(runs: pl.DataFrame) -> list[tuple[str, str, str]]:
     faulty = runs.filter(pl.col("is_fault_injected"))
     simulated_s = float(runs["simulated_s"].sum())
     tiles = [
-        (str(runs.height), "runs", f"{simulated_s / 3600:.1f} simulated hours"),
+        (str(runs.height), "runs", f"{_duration(simulated_s)} of simulated time"),
         (f"{int(clean['is_goal_reached'].sum())}/{clean.height}", "goals reached", "without faults"),
     ]
     if faulty.height:
-        tiles.append((str(faulty.height), "faults injected", f"{faulty['fault'].n_unique()} different ones"))
+        tiles.append(
+            (str(faulty.height), "faults injected", f"{counted(faulty['fault'].n_unique(), 'kind')} of them")
+        )
     tiles.append((str(int(clean["n_unsound"].sum())), "unsound dispatches", "conditions physically false"))
     return tiles

@@ -1,41 +1,21 @@
 """The report: every section composed from tables, then one template around them."""
 
 import base64
-from functools import cache
-
-from jinja2 import Environment, PackageLoader, StrictUndefined
-from markupsafe import Markup
 
 from demoplan.viewers.colours import activity_colour, operator_colour
 from demoplan.viewers.report.activity_bars import activity_names, episode_bars
 from demoplan.viewers.report.content import ReportContent
 from demoplan.viewers.report.episode_rows import EpisodeRow, episode_rows, failure_rows
 from demoplan.viewers.report.glossary import GLOSSARY
-from demoplan.viewers.report.markup import counted, number, swatch, visible
+from demoplan.viewers.report.markup import counted, swatch
 from demoplan.viewers.report.operator_cards import OperatorCard, operator_cards
+from demoplan.viewers.report.page import page_of
 from demoplan.viewers.report.pddl_text import coloured
 from demoplan.viewers.report.plan_matrix import PlanMatrix, plan_matrix
 from demoplan.viewers.report.scores import confusion_grid, key_results, score_grid
 
 _OPEN_EPISODES = 24
 """More episodes than this are folded: a page should open quickly."""
-
-
-@cache
-def _environment() -> Environment:
-    environment = Environment(
-        loader=PackageLoader("demoplan.viewers.report"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        finalize=visible,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=True,
-    )
-    environment.filters["number"] = number
-    environment.filters["counted"] = counted
-    environment.filters["percent"] = lambda share: "–" if share is None else f"{100 * share:.1f} %"
-    return environment
 
 
 def render_report(content: ReportContent) -> str:
@@ -50,7 +30,6 @@ def render_report(content: ReportContent) -> str:
     Returns:
         The page; the same content gives the same text, whatever order the tables' rows are in.
     """
-    environment = _environment()
     matrix = plan_matrix(content.plans, content.domains, content.goals, content.refuted)
     episodes = episode_rows(content)
     cards = operator_cards(content)
@@ -58,10 +37,9 @@ def render_report(content: ReportContent) -> str:
     results = key_results(content.scores, content.references, content.methods)
     suites = () if content.scores is None else tuple(sorted(content.scores["suite"].unique()))
     grids = [(suite, grid) for suite in suites if (grid := score_grid(content.scores, suite)) is not None]
-    stylesheet, _, _ = environment.loader.get_source(environment, "report.css")  # type: ignore[union-attr]
-    return environment.get_template("report.html").render(
+    return page_of(
+        "report.html",
         content=content,
-        stylesheet=Markup(stylesheet),  # noqa: S704 - ours, from beside the template
         tiles=_tiles(episodes, cards, content, matrix),
         troubled=[row for row in episodes if row.status != "complete"],
         episodes=episodes,
