@@ -1,7 +1,9 @@
 """Domains that ship no traces: worlds drawn at random and walked at random, in folders like the public data.
 
 ``python benchmarks/learners/made.py --source AMLGYM/benchmarks --out FOLDER --seed 0``; then ``run.py`` with
-``--source FOLDER``. They serve to try a learner on what nobody developed it on.
+``--source FOLDER``. They serve to try a learner on what nobody developed it on. ``--own`` takes the domains
+beside this file instead, which need no source; ``--even`` walks with every ground action equally likely, so
+that actions with few ways to do them are rare.
 """
 
 import argparse
@@ -13,9 +15,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import reference
-
-World = tuple[dict[str, str], set[reference.Fact], set[str]]
-"""Objects with types, the initial state, and the predicates that goals are about."""
+from own_worlds import OWN, World
 
 
 def hanoi(draw: random.Random) -> World:
@@ -92,7 +92,7 @@ def applicable(
     model: reference.Model, objects: dict[str, str], state: set[reference.Fact]
 ) -> dict[str, list[tuple[str, ...]]]:
     """Ground actions whose preconditions hold, by name."""
-    found = {}
+    found, objects = {}, objects | dict(model.constants)
     for name, action in model.actions.items():
         fitting = [model.objects_of(objects, kind) for _, kind in action.parameters]
         found[name] = [one for one in itertools.product(*fitting) if action.is_applicable(state, one)]
@@ -100,23 +100,28 @@ def applicable(
 
 
 def walk(
-    model: reference.Model, world: World, length: int, draw: random.Random
+    model: reference.Model, world: World, length: int, draw: random.Random, *, is_even: bool = False
 ) -> tuple[list[set[reference.Fact]], list[reference.Fact]]:
-    """A random walk: an action's name first, so that rare actions are seen, then its objects."""
+    """A random walk: an action's name first, so that rare ones are seen, then objects; or both at once."""
     objects, state, _ = world
     states, actions = [state], []
     for _ in range(length):
         options = {name: ways for name, ways in applicable(model, objects, states[-1]).items() if ways}
-        name = draw.choice(sorted(options))
-        arguments = draw.choice(options[name])
+        if is_even:
+            name, arguments = draw.choice([(name, way) for name in sorted(options) for way in options[name]])
+        else:
+            name = draw.choice(sorted(options))
+            arguments = draw.choice(options[name])
         states.append(model.actions[name].apply(states[-1], arguments))
         actions.append((name, *arguments))
     return states, actions
 
 
-def make(source: Path, out: Path, domain: str, seed: int) -> None:
+def make(
+    path: Path, out: Path, draw_world: Callable[[random.Random], World], seed: int, *, is_even: bool
+) -> None:
     """Traces, problems and held-out states of one domain."""
-    path = source / "domains" / f"{domain}.pddl"
+    domain = path.stem
     (out / "domains").mkdir(parents=True, exist_ok=True)
     shutil.copy(path, out / "domains")
     model = reference.read_domain(path)
@@ -130,14 +135,14 @@ def make(source: Path, out: Path, domain: str, seed: int) -> None:
         (out / kind / domain).mkdir(parents=True, exist_ok=True)
     tested = {}
     for number, length in enumerate((4, 6, 11, 14, 18, 20, 21, 23, 26, 29)):
-        world = WORLDS[domain](draw)
-        states, actions = walk(model, world, length, draw)
+        world = draw_world(draw)
+        states, actions = walk(model, world, length, draw, is_even=is_even)
         (out / f"trajectories/learning/{domain}/{number}_{domain}_traj").write_text(
             reference.trace_text(states, actions)
         )
         text = reference.problem_text(f"p{number}", model.name, world[0], states[0], set())
         (out / f"problems/learning/{domain}/{number}_{domain}_prob.pddl").write_text(text)
-        world = WORLDS[domain](draw)
+        world = draw_world(draw)
         states, _ = walk(model, world, 40, draw)
         goal = " ".join(f"({' '.join(fact)})" for fact in sorted(states[-1]) if fact[0] in world[2])
         text = reference.problem_text(f"p{number}", model.name, world[0], states[0], set())
@@ -158,12 +163,17 @@ def make(source: Path, out: Path, domain: str, seed: int) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--source", type=Path, required=True, help="amlgym's benchmarks folder")
+    parser.add_argument("--source", type=Path, help="amlgym's benchmarks folder")
+    parser.add_argument("--own", action="store_true", help="domains beside this file")
+    parser.add_argument("--even", action="store_true", help="every ground action equally likely")
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--seed", type=int, default=0)
     args = parser.parse_args()
-    for domain in WORLDS:
-        make(args.source, args.out, domain, args.seed)
+    if args.own == (args.source is not None):
+        parser.error("give either --source or --own")
+    folder = Path(__file__).parent if args.own else args.source
+    for domain, world in (OWN if args.own else WORLDS).items():
+        make(folder / "domains" / f"{domain}.pddl", args.out, world, args.seed, is_even=args.even)
 
 
 main()

@@ -7,7 +7,7 @@ wrong; ``pairs`` is the special case in which all that is known are counts of (b
 """
 
 from demoplan.inference.beliefs import Beliefs, believe
-from demoplan.inference.chains import FlipRates
+from demoplan.inference.chains import FlipRates, Messages
 from demoplan.inference.pairs import FALSE, TRUE, UNSEEN, believe_pairs, timelines_of_pairs
 from demoplan.inference.roles import ADD, DELETE, KEEP, BeliefParams, Roles
 from demoplan.inference.timelines import Timelines
@@ -22,6 +22,7 @@ __all__ = [
     "BeliefParams",
     "Beliefs",
     "FlipRates",
+    "Messages",
     "Roles",
     "Timelines",
     "believe",

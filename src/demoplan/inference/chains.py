@@ -60,6 +60,12 @@ class Messages:
     true_after: Floats
     """``(n_touches,)``: probability that the atom held after the touch."""
 
+    def true_at(self, timelines: Timelines) -> Floats:
+        """``(n_touches,)``: probability that the atom held before the touch."""
+        n_first = len(self.true_before)
+        earlier = self.true_after[timelines.touch_before[n_first:]]
+        return np.concatenate([self.true_before, earlier])
+
 
 def evidence(timelines: Timelines, rates: FlipRates) -> Evidence:
     """Odds of segments by what was seen in each."""

@@ -48,6 +48,12 @@ class Timelines:
         return np.asarray(np.arange(counts.sum()) - np.repeat(self.bounds[:-1], counts))
 
     @cached_property
+    def touch_before(self) -> Ints:
+        """``(n_touches,)``: the touch before each on its timeline; negative for the first ones."""
+        counts = np.array(self.n_by_rank, dtype=np.int64)
+        return np.asarray(np.arange(counts.sum()) - np.repeat(np.r_[counts[:1], counts[:-1]], counts))
+
+    @cached_property
     def is_last(self) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
         """``(n_touches,)``: whether no touch of its timeline follows."""
         following = np.r_[np.array(self.n_by_rank[1:], dtype=np.int64), 0]

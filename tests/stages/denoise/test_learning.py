@@ -1,5 +1,6 @@
 """Rules come back from noisy walks, whatever the order, in one go or in pieces; counts are exact."""
 
+import re
 from dataclasses import replace
 from itertools import pairwise
 
@@ -9,9 +10,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from demoplan.inference import believe
+from demoplan.language.atoms import Atom
 from demoplan.stages.denoise import DenoiseParams, conclude, denoise, gather
 from demoplan.stages.denoise.counts import count
-from demoplan.stages.denoise.touches import GroundCodes, candidates
+from demoplan.stages.denoise.opportunities import Occasions, Opportunity, forbidden, occasions
+from demoplan.stages.denoise.touches import Candidate, GroundCodes, candidates, spans, touch
 
 
 @pytest.mark.parametrize("rate", [0.0, 0.01, 0.05, 0.1, 0.2])
@@ -63,7 +67,7 @@ def test_a_negative_condition_is_stated_where_chances_were_avoided(courier, rule
         0, named=True
     )
     assert row["n_support"] + row["n_against"] == row["n_transitions"]
-    assert row["note"].startswith(f"avoided {row['n_transitions']} times where it held in ")
+    assert re.fullmatch(r"avoided on \d+ occasions where it held in \d+% of the chances", row["note"])
 
 
 def test_a_literal_left_out_says_what_implies_it(courier):
@@ -157,3 +161,49 @@ def test_one_transition_is_enough_to_learn_something(courier):
     denoised = denoise(courier(1, length=1))
     assert len(denoised.operators) == 1
     assert denoised.literals["probability"].is_between(0, 1).all()
+
+
+def test_occasions_are_counted_once_while_nothing_changes(timelines_of_courier):
+    timelines, messages = timelines_of_courier
+    n, n_true = 0, 0.0
+    for line in range(len(messages.true_before)):
+        touches = np.flatnonzero(timelines.touch_timeline == line)
+        values = [messages.true_before[line] > 1 / 2, *(messages.true_after[touches] > 1 / 2)]
+        met: dict[int, list[bool]] = {}
+        n_changes = 0
+        for before, after in pairwise(values):
+            met.setdefault(n_changes, []).append(bool(before))
+            n_changes += before != after
+        n += len(met)
+        n_true += sum(sum(each) / len(each) for each in met.values())
+    (found,) = occasions(timelines, messages, 1)
+    assert found.n == n
+    assert found.n_true == pytest.approx(n_true, abs=0.2)
+
+
+@pytest.fixture
+def timelines_of_courier(courier):
+    """Timelines of a noisy walk as if every touch were of one literal, and what is believed of them."""
+    traces = courier(4, rate=0.05)
+    over = candidates(traces.signatures)
+    touches = touch(traces, spans(traces, DenoiseParams()), over, GroundCodes(traces))
+    predicate = np.array([each.predicate for each in over])
+    beliefs = believe(touches.timelines, predicate, len(traces.signatures.predicates), DenoiseParams())
+    n_touches = len(touches.touch_state)
+    one = replace(
+        touches.timelines, entry_literal=np.zeros(n_touches, dtype=np.int64), entry_touch=np.arange(n_touches)
+    )
+    return one, beliefs.messages
+
+
+def test_what_is_avoided_by_habit_is_not_forbidden():
+    def chances(n_true, n=26, share=0.18):
+        return [
+            Opportunity(Candidate(0, k, Atom(f"p{k}", ()), ()), Occasions(n, met), share)
+            for k, met in enumerate(n_true)
+        ]
+
+    at_random = chances([0, 11, 9, 12, 10, 8, 11], n=60)
+    of_habit = chances([0, 25, 2, 0, 1, 30, 1], n=60)
+    assert {each.predicate for each in forbidden(at_random, DenoiseParams())} == {0}
+    assert not forbidden(of_habit, DenoiseParams())

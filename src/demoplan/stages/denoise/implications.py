@@ -18,7 +18,7 @@ import numpy as np
 
 from demoplan.language.traces import TraceSet
 from demoplan.language.traces.values import Codes, Signatures
-from demoplan.stages.denoise.opportunities import forbidden
+from demoplan.stages.denoise.opportunities import Occasions, Opportunity, opportunities
 from demoplan.stages.denoise.params import DenoiseParams
 from demoplan.stages.denoise.snapshots import Snapshots
 from demoplan.stages.denoise.touches import Candidate, GroundCodes
@@ -110,13 +110,11 @@ class Implications:
         bounds = np.searchsorted(predicate[order], np.arange(len(traces.signatures.predicates) + 1))
         self._rows = [order[low:high] for low, high in itertools.pairwise(bounds)]
 
-    def forbidden(
-        self, conditions: Sequence[Candidate], avoided: Sequence[Candidate], n_instances: int
-    ) -> dict[Candidate, str]:
-        """Literals that an action avoids; see :func:`opportunities.forbidden`."""
-        return forbidden(
-            conditions, avoided, n_instances, self._traces, self._seen, self._codes, self._params
-        )
+    def opportunities(
+        self, conditions: Sequence[Candidate], literals: Mapping[Candidate, Occasions]
+    ) -> list[Opportunity]:
+        """Literals that an action's conditions leave free; see :func:`opportunities.opportunities`."""
+        return opportunities(conditions, literals, self._traces, self._seen, self._codes, self._params)
 
     def frequency(self, literal: Candidate) -> float:
         """How many atoms of the literal's predicate hold, for each object that could be in them."""

@@ -1,32 +1,37 @@
 """Noisy traces to operators and literals, each with its probability and the counts behind it."""
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
 
 import dataframely as dy
 import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
-from demoplan.inference import ADD, DELETE, KEEP, Beliefs, believe
+from demoplan.inference import ADD, DELETE, KEEP, Beliefs, Timelines, believe
 from demoplan.language.atoms import Atom, Literal
 from demoplan.language.traces import TraceSet
 from demoplan.language.traces.values import Codes
 from demoplan.stages.denoise.counts import Counts, count
 from demoplan.stages.denoise.implications import Implications, Rules, needed
+from demoplan.stages.denoise.opportunities import Occasions, Opportunity, forbidden, occasions
 from demoplan.stages.denoise.params import DenoiseParams
 from demoplan.stages.denoise.snapshots import snapshots
 from demoplan.stages.denoise.touches import Candidate, GroundCodes, candidates, spans, touch
 from demoplan.tables import Literals, Operators
 
-_SURE = 0.9
+Row = Mapping[str, Any]
+"""A row of a table to be."""
 
 
 @dataclass(frozen=True, eq=False)
 class Denoised:
-    """What was learned from traces."""
+    """What was learned from traces; the tables are made and validated when they are first asked for."""
 
-    operators: dy.DataFrame[Operators]
-    literals: dy.DataFrame[Literals]
+    operator_rows: tuple[Row, ...]
+    literal_rows: tuple[Row, ...]
     flip_rates: dict[str, tuple[float, float]]
     """Per predicate: probability that a true atom was not seen, and that a false atom was seen."""
     flip_rate: float
@@ -35,14 +40,25 @@ class Denoised:
     is_settled: bool
     """Whether beliefs came to rest within the rounds allowed."""
 
+    @cached_property
+    def operators(self) -> dy.DataFrame[Operators]:
+        """One row per action that was seen."""
+        return Operators.validate(_frame(Operators, self.operator_rows), cast=True)
+
+    @cached_property
+    def literals(self) -> dy.DataFrame[Literals]:
+        """One row per literal that was considered, with its counts and its probability."""
+        return Literals.validate(_frame(Literals, self.literal_rows), cast=True)
+
     def actions(self) -> dict[str, tuple[frozenset[Literal], frozenset[Literal]]]:
         """Preconditions and effects of each operator, as far as they are stated."""
         found: dict[str, tuple[set[Literal], set[Literal]]] = {
-            name: (set(), set()) for name in self.operators["operator"]
+            row["operator"]: (set(), set()) for row in self.operator_rows
         }
-        for row in self.literals.filter(pl.col("is_kept")).iter_rows(named=True):
-            literal = Literal(Atom(row["predicate"], tuple(row["variables"])), row["is_positive"])
-            found[row["operator"]][row["role"] == "effect"].add(literal)
+        for row in self.literal_rows:
+            if row["is_kept"]:
+                literal = Literal(Atom(row["predicate"], tuple(row["variables"])), row["is_positive"])
+                found[row["operator"]][row["role"] == "effect"].add(literal)
         return {name: (frozenset(pre), frozenset(effects)) for name, (pre, effects) in found.items()}
 
 
@@ -105,7 +121,7 @@ def conclude(gathered: Gathered, params: DenoiseParams = DenoiseParams()) -> Den
     n_actions = len(traces.signatures.actions)
     owner = np.array([each.action for each in over], dtype=np.int64)
     is_seen = gathered.counts.n_transitions[owner] > 0
-    verdicts = _verdicts(over, beliefs, params)
+    verdicts = _verdicts(over, touches.timelines, beliefs, params)
     implications = None
     if params.is_minimal and len(touches.timelines.entry_touch):
         seen = snapshots(traces, chosen, touches, beliefs, codes, params)
@@ -115,16 +131,19 @@ def conclude(gathered: Gathered, params: DenoiseParams = DenoiseParams()) -> Den
             deletes=_by_action(over, (verdicts.effect == DELETE) & is_seen, n_actions),
         )
         implications = Implications(traces, seen, rules, codes, params)
-    rows: list[dict[str, object]] = []
-    for action in np.flatnonzero(gathered.counts.n_transitions):
-        rows += _literals(
-            traces, over, np.flatnonzero(owner == action), verdicts, gathered.counts, implications
-        )
+    of_action = {
+        int(action): np.flatnonzero(owner == action)
+        for action in np.flatnonzero(gathered.counts.n_transitions)
+    }
+    negative = {} if implications is None else _forbidden(over, of_action, verdicts, implications, params)
+    rows: list[Row] = []
+    for indices in of_action.values():
+        rows += _literals(traces, over, indices, verdicts, gathered.counts, implications, negative)
     rates = zip(beliefs.rates.missed.tolist(), beliefs.rates.imagined.tolist(), strict=True)
     names = [each.name for each in traces.signatures.predicates]
     return Denoised(
-        operators=_operators(gathered),
-        literals=Literals.validate(_frame(Literals, rows), cast=True),
+        operator_rows=_operators(gathered),
+        literal_rows=tuple(rows),
         flip_rates=dict(zip(names, rates, strict=True)),
         flip_rate=beliefs.flip_rate,
         n_rounds=beliefs.n_rounds,
@@ -140,14 +159,16 @@ class _Verdicts:
     effect: Codes
     required: NDArray[np.float64]
     """Probability that it is a condition."""
-    avoided: NDArray[np.float64]
-    """Probability that it is always false before."""
+    occasions: tuple[Occasions, ...]
+    """How often its action met it, and it was true."""
     effects: NDArray[np.float64]
     """``(n_candidates, 3)``: probabilities of keeping, adding, deleting."""
 
 
-def _verdicts(over: tuple[Candidate, ...], beliefs: Beliefs, params: DenoiseParams) -> _Verdicts:
-    required, avoided, effects = beliefs.required, beliefs.avoided, beliefs.effects
+def _verdicts(
+    over: tuple[Candidate, ...], timelines: Timelines, beliefs: Beliefs, params: DenoiseParams
+) -> _Verdicts:
+    required, effects = beliefs.required, beliefs.effects
     effect = effects.argmax(axis=1)
     action = np.array([each.action for each in over], dtype=np.int64)
     for each in np.unique(action):
@@ -156,7 +177,29 @@ def _verdicts(over: tuple[Candidate, ...], beliefs: Beliefs, params: DenoisePara
         if not (effect[mine] == ADD).any() and effects[likeliest, ADD] >= params.effect_despite:
             effect[likeliest] = ADD
     least = np.where(effect == DELETE, params.required_if_deleted_min, params.required_min)
-    return _Verdicts((required >= least) & (effect != ADD), effect, required, avoided, effects)
+    met = occasions(timelines, beliefs.messages, len(over))
+    return _Verdicts((required >= least) & (effect != ADD), effect, required, met, effects)
+
+
+def _forbidden(
+    over: tuple[Candidate, ...],
+    of_action: Mapping[int, Codes],
+    verdicts: _Verdicts,
+    implications: Implications,
+    params: DenoiseParams,
+) -> dict[Candidate, tuple[float, str]]:
+    """Literals that actions avoid though nothing else makes them; how habits go is seen over all actions."""
+    found: list[Opportunity] = []
+    for indices in of_action.values():
+        conditions = [over[index] for index in indices if verdicts.is_condition[index]]
+        # Nobody does again what is done: that a literal was false before the action adds it is a habit.
+        others = {
+            over[index]: verdicts.occasions[index]
+            for index in indices
+            if verdicts.effect[index] != ADD and not verdicts.is_condition[index]
+        }
+        found += implications.opportunities(conditions, others)
+    return forbidden(found, params)
 
 
 def _by_action(
@@ -178,12 +221,12 @@ def _n_episodes(traces: TraceSet) -> Codes:
     return np.bincount(np.unique(pair) % n_actions, minlength=n_actions)
 
 
-def _frame(schema: type[dy.Schema], rows: list[dict[str, object]]) -> pl.DataFrame:
+def _frame(schema: type[dy.Schema], rows: Sequence[Row]) -> pl.DataFrame:
     return pl.DataFrame(rows, schema={name: column.dtype for name, column in schema.columns().items()})
 
 
-def _operators(gathered: Gathered) -> dy.DataFrame[Operators]:
-    rows: list[dict[str, object]] = []
+def _operators(gathered: Gathered) -> tuple[Row, ...]:
+    rows: list[Row] = []
     for index, action in enumerate(gathered.sample.signatures.actions):
         n = int(gathered.counts.n_transitions[index])
         if not n:
@@ -205,7 +248,7 @@ def _operators(gathered: Gathered) -> dy.DataFrame[Operators]:
                 "note": None,
             }
         )
-    return Operators.validate(_frame(Operators, rows), cast=True)
+    return tuple(rows)
 
 
 def _literals(
@@ -215,23 +258,15 @@ def _literals(
     verdicts: _Verdicts,
     counts: Counts,
     implications: Implications | None,
-) -> list[dict[str, object]]:
+    negative: Mapping[Candidate, tuple[float, str]],
+) -> list[Row]:
     """Rows of one action: every candidate as a condition, and those that may change as effects."""
     conditions = [over[index] for index in indices if verdicts.is_condition[index]]
     is_deleted = {over[index]: bool(verdicts.effect[index] == DELETE) for index in indices}
     kept, reasons = conditions, dict[Candidate, str]()
-    negative: dict[Candidate, str] = {}
     if implications is not None:
-        # Nobody does again what is done: that a literal was false before the action adds it is a habit.
-        avoided = [
-            over[index]
-            for index in indices
-            if verdicts.avoided[index] > _SURE and verdicts.effect[index] != ADD
-        ]
-        n_instances = int(counts.n_transitions[over[indices[0]].action])
         kept, reasons = needed(conditions, is_deleted, implications)
-        negative = implications.forbidden(conditions, avoided, n_instances)
-    rows: list[dict[str, object]] = []
+    rows: list[Row] = []
     for index in indices:
         each = over[index]
         effect = verdicts.effect[index]
@@ -261,9 +296,9 @@ def _literals(
                     "n_against": before["n_support"],
                     "role": "precondition",
                     "is_positive": False,
-                    "probability": min(float(verdicts.avoided[index]), 1.0),
+                    "probability": negative[each][0],
                     "is_kept": True,
-                    "note": negative[each],
+                    "note": negative[each][1],
                 }
             )
         if effect != KEEP:

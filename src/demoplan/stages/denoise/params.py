@@ -26,9 +26,9 @@ class DenoiseParams(BeliefParams):
     """Cases needed before one condition is taken to imply another."""
     implied_exceptions_max: float = 0.02
     """Share of the cases that may contradict it, as misreadings do."""
-    forbidden_evidence: float = 12.0
-    """Natural logarithm of the odds at which a negative condition is stated: demonstrators have habits, so
-    chance alone has to be far away."""
+    forbidden_prior: float = 5.0
+    """Natural logarithm of the odds against a negative condition beforehand: most that is avoided is avoided
+    by habit, so that chance and habit together have to be far away."""
     n_snapshots: int = 6
     """States per trace in which implications are looked for, evenly spaced."""
     max_snapshots: int = 600
