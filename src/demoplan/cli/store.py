@@ -10,7 +10,7 @@ import typer
 from demoplan.cli.options import DEFAULT_STORE, JsonOption, StoreOption, existing_store
 from demoplan.cli.output import Exit, print_json, print_table, progress, say
 
-stores = typer.Typer(no_args_is_help=True, help="The store: log, diff, verify, repair, gc.")
+stores = typer.Typer(no_args_is_help=True, help="The store: log, diff, verify, repair, compact, gc.")
 
 
 def register(app: typer.Typer) -> None:
@@ -107,6 +107,27 @@ def repair(store: StoreOption = DEFAULT_STORE, as_json: JsonOption = False) -> N
 
 
 @stores.command()
+def compact(store: StoreOption = DEFAULT_STORE, as_json: JsonOption = False) -> None:
+    """Put small files into shards of about 100 MB for each table; `gc` then removes the small ones."""
+    from demoplan.store.compacting import compact as compact_all
+
+    opened = existing_store(store)
+    before = opened.place.entries("")
+    n_tables = len({name for state in opened.manifest.episodes() for name in state.tables})
+    with progress("compact", n_tables + 1) as done:
+        made = compact_all(opened, on_done=done)
+    if as_json:
+        print_json([asdict(each) for each in made])
+        return
+    print_table(
+        f"{len(made)} shards",
+        ["table", "parts", "MB", "shard"],
+        [(each.table, each.n_parts, f"{each.n_bytes / 1e6:.3f}", each.shard) for each in made],
+    )
+    say(f"{len(before)} files before; `demoplan store gc` removes what is in shards now")
+
+
+@stores.command()
 def gc(
     grace: Annotated[
         float, typer.Option("--grace", min=0.0, metavar="HOURS", help="What is younger stays [h].")
@@ -127,7 +148,9 @@ def gc(
     """Remove tables that no record, manifest or snapshot names, and what killed processes left."""
     from demoplan.store.sweeping import sweep
 
-    swept = sweep(existing_store(store), grace_s=grace * 3600.0, n_snapshots=keep, is_dry_run=dry_run)
+    opened = existing_store(store)
+    n_before = len(opened.place.names(""))
+    swept = sweep(opened, grace_s=grace * 3600.0, n_snapshots=keep, is_dry_run=dry_run)
     if as_json:
         print_json([asdict(each) for each in swept])
     else:
@@ -138,3 +161,4 @@ def gc(
             ["what", "files", "MB"],
             [(kind, counts[kind], f"{sizes[kind] / 1e6:.3f}") for kind in sorted(counts)],
         )
+        say(f"{n_before} files before, {len(opened.place.names(''))} after")

@@ -8,7 +8,7 @@ from typing import Any
 
 from demoplan.errors import StoreError, UnknownNameError
 from demoplan.ids import content_hash
-from demoplan.store.places import AbsentError, Place
+from demoplan.store.places import AbsentError, NewerError, Place
 
 MANIFEST_FORMAT = 2
 """Format 1 held every state in one file; it is read, and becomes format 2 with the first update."""
@@ -247,10 +247,7 @@ class Manifest:
             raise StoreError(
                 f"{where}: not a manifest: {error}; `demoplan store repair` restores the last snapshot"
             ) from None
-        raise StoreError(
-            f"{where}: manifest format {written}; this version reads 1 to {MANIFEST_FORMAT}: "
-            "a newer demoplan wrote it"
-        )
+        raise NewerError(where, "manifest format", written, f"1 to {MANIFEST_FORMAT}")
 
 
 def _states_of(datasets: dict[str, dict[str, dict[str, Any]]]) -> dict[str, dict[str, EpisodeState]]:

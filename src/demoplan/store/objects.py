@@ -12,7 +12,9 @@ import pyarrow.parquet as pq
 
 from demoplan.errors import StoreError
 from demoplan.ids import ContentHash
-from demoplan.store.places import AbsentError, Place
+from demoplan.store.encodings import encodings_of
+from demoplan.store.places import AbsentError, NewerError, Place
+from demoplan.store.shards import Shards
 from demoplan.tables.validating import is_typed, validated
 
 TABLE_FORMAT = "1"
@@ -22,12 +24,14 @@ Table = TypeVar("Table", bound=dy.Schema)
 
 
 class ObjectStore:
-    """Tables by content: ``ab/abcd….parquet`` is the one whose bytes have that hash."""
+    """Tables by content: ``ab/abcd….parquet`` is the one whose bytes have that hash, or a shard holds it."""
 
-    def __init__(self, place: Place, folder: str = "objects") -> None:
-        """Use ``folder`` of a place; it is made when something is first written."""
+    folder = "objects"
+
+    def __init__(self, place: Place, shards: Shards) -> None:
+        """Use ``objects/`` of a place, and its shards."""
         self._place = place
-        self.folder = folder
+        self._shards = shards
 
     def name_of(self, content: ContentHash) -> str:
         """What the table of that hash is called in its place."""
@@ -46,10 +50,18 @@ class ObjectStore:
 
     def has(self, content: ContentHash) -> bool:
         """Whether a table of that hash is there."""
+        return self.has_loose(content) or self._shards.find(content) is not None
+
+    def has_loose(self, content: ContentHash) -> bool:
+        """Whether a table of that hash is there as a file of its own."""
         return self._place.entry(self.name_of(content)) is not None
 
     def contents(self) -> set[str]:
         """The hashes of all tables that are there, by one listing."""
+        return self.loose() | self._shards.contents().keys()
+
+    def loose(self) -> set[str]:
+        """The hashes of all tables that are files of their own."""
         names = self._place.names(self.folder)
         return {PurePosixPath(name).stem for name in names if name.endswith(".parquet")}
 
@@ -74,7 +86,10 @@ class ObjectStore:
         try:
             return read_table(self._place, self.name_of(content), schema)
         except AbsentError:
-            raise AbsentError(f"table {content} is not in the store {self._place.location}") from None
+            found = self._shards.read(content)
+            table = pl.DataFrame(found)
+            where = f"{self._place.location}: {content} in a shard"
+            return read_as_declared(table, found.schema.metadata or {}, schema, where)
 
     def is_intact(self, content: ContentHash) -> bool:
         """Whether the bytes that are there still have the hash that names them."""
@@ -131,31 +146,14 @@ def read_as_declared(
     """
     written = metadata.get(b"demoplan.table_format", b"?").decode()
     if written != TABLE_FORMAT:
-        raise StoreError(f"{where}: written in table format {written}; this version reads {TABLE_FORMAT}")
+        raise NewerError(where, "table format", written, TABLE_FORMAT)
     return validated(table, schema)
 
 
 @functools.cache
 def _encodings(schema: type[dy.Schema]) -> dict[str, Any]:
-    """How the columns of a table are written: what costs little time for its size.
-
-    Texts repeat, so they go through a dictionary; numbers hardly do. Whole numbers are stamps and indexes:
-    their steps are small. Only they are ever searched by range, so only they have statistics.
-    """
-    described = _described(schema.create_empty().to_arrow(compat_level=pl.CompatLevel.oldest()), schema)
-    sink = pa.BufferOutputStream()
-    pq.write_table(described, sink)
-    columns = pq.ParquetFile(pa.BufferReader(sink.getvalue())).schema
-    by_type: dict[str, list[str]] = {}
-    for column in (columns.column(index) for index in range(len(columns))):
-        by_type.setdefault(column.physical_type, []).append(column.path)
-    whole = by_type.get("INT64", [])
-    return {
-        "compression": "lz4",
-        "use_dictionary": by_type.get("BYTE_ARRAY", []),
-        "column_encoding": dict.fromkeys(whole, "DELTA_BINARY_PACKED"),
-        "write_statistics": whole,
-    }
+    empty = schema.create_empty().to_arrow(compat_level=pl.CompatLevel.oldest())
+    return encodings_of(_described(empty, schema).schema)
 
 
 @functools.cache

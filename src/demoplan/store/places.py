@@ -19,6 +19,18 @@ class AbsentError(StoreError):
     """Nothing has that name."""
 
 
+class NewerError(StoreError):
+    """A newer version of demoplan wrote it: this one does not guess what it means."""
+
+    def __init__(self, where: str, kind: str, found: object, known: object) -> None:
+        """Keep what was found, and what this version reads."""
+        self.found = found
+        self.known = known
+        super().__init__(
+            f"{where}: {kind} {found}; this version of demoplan reads {known}: a newer one wrote it, use that"
+        )
+
+
 @dataclass(frozen=True, kw_only=True)
 class Entry:
     """A file or object, without its content."""

@@ -1,11 +1,16 @@
 """Records: which output a stage gave for which input, parameters and code."""
 
 import functools
+import hashlib
 import json
+import time
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass, field
 from pathlib import PurePosixPath
 
 import dataframely as dy
+import polars as pl
+import pyarrow.parquet as pq
 
 from demoplan.errors import StoreError
 from demoplan.ids import ContentHash, content_hash
@@ -44,12 +49,14 @@ def schema_version(schema: type[dy.Schema]) -> str:
 
 
 class RecordStore:
-    """Records by stage and key: ``stage/key.json``."""
+    """Records by stage and key: ``stage/key.json``, or a row of a pack."""
 
-    def __init__(self, place: Place, folder: str = "records") -> None:
-        """Use ``folder`` of a place; it is made when something is first written."""
+    folder = "records"
+
+    def __init__(self, place: Place, packs: "Packs") -> None:
+        """Use ``records/`` of a place, and its packs."""
         self._place = place
-        self.folder = folder
+        self._packs = packs
 
     def name_of(self, stage: str, key: str) -> str:
         """What the record of that key is called in its place."""
@@ -65,11 +72,12 @@ class RecordStore:
         try:
             return parse_record(self._place.read(name), f"{self._place.location}: {name}")
         except AbsentError:
-            return None
+            return self._packs.get(stage, key)
 
     def has(self, stage: str, key: str) -> bool:
         """Whether there is a record of that key."""
-        return self._place.entry(self.name_of(stage, key)) is not None
+        is_loose = self._place.entry(self.name_of(stage, key)) is not None
+        return is_loose or self._packs.get(stage, key) is not None
 
     def put(self, record: Record) -> None:
         """Write a record; its outputs must be there already."""
@@ -79,12 +87,108 @@ class RecordStore:
 
     def keys(self) -> set[tuple[str, str]]:
         """Stage and key of every record, by one listing."""
+        return self.loose() | self._packs.keys()
+
+    def loose(self) -> set[tuple[str, str]]:
+        """Stage and key of every record that is a file of its own."""
         found = set()
         for name in self._place.names(self.folder):
             path = PurePosixPath(name)
             if path.suffix == ".json":
                 found.add((path.parent.name, path.stem))
         return found
+
+
+_LOOK_AGAIN_S = 2.0
+"""Whether a record is there is not asked of the listing more often than this [s]."""
+
+
+class Packs:
+    """Many records in one Parquet file: ``shards/records/HASH.parquet``, added whole and never changed.
+
+    A pack is read as a whole when a record is first asked for that is no file of its own.
+    """
+
+    folder = "shards/records"
+
+    def __init__(self, place: Place) -> None:
+        """Use a place; the folder is made when something is first written."""
+        self._place = place
+        self._read: dict[str, dict[tuple[str, str], Record]] = {}
+        """Pack → stage and key → record."""
+        self._looked_s = -_LOOK_AGAIN_S
+
+    def names(self) -> list[str]:
+        """Every pack."""
+        return [name for name in self._place.names(self.folder) if name.endswith(".parquet")]
+
+    def get(self, stage: str, key: str) -> Record | None:
+        """The record of that key; None if no pack holds it."""
+        for records in self._read.values():
+            if (stage, key) in records:
+                return records[stage, key]
+        if time.monotonic() - self._looked_s < _LOOK_AGAIN_S:
+            return None
+        self._look()
+        return next((r[stage, key] for r in self._read.values() if (stage, key) in r), None)
+
+    def keys(self) -> set[tuple[str, str]]:
+        """Stage and key of every record in a pack."""
+        self._look()
+        return {key for records in self._read.values() for key in records}
+
+    def _look(self) -> None:
+        """Read packs that are new, and forget those that are gone; a damaged one counts as empty."""
+        self._looked_s = time.monotonic()
+        names = self.names()
+        self._read = {name: records for name, records in self._read.items() if name in names}
+        for name in names:
+            if name not in self._read:
+                try:
+                    self._read[name] = self.records_of(name)
+                except StoreError:
+                    self._read[name] = {}
+
+    def records_of(self, name: str) -> dict[tuple[str, str], Record]:
+        """What a pack holds.
+
+        Raises:
+            StoreError: If it is not a pack, or not the one that its name stands for.
+        """
+        data = self._place.read(name)
+        where = f"{self._place.location}: {name}"
+        if hashlib.sha256(data).hexdigest() != PurePosixPath(name).stem:
+            raise StoreError(
+                f"{where}: its content is not what its name says; `demoplan store repair` sets it aside"
+            )
+        try:
+            rows = pl.read_parquet(data, use_pyarrow=False).rows(named=True)
+            return {
+                (row["stage"], row["key"]): Record(
+                    **{name: json.loads(row[name]) if name in _PACKED_AS_JSON else row[name] for name in row}
+                )
+                for row in rows
+            }
+        except (pl.exceptions.PolarsError, ValueError, TypeError) as error:
+            raise StoreError(f"{where}: not a pack of records: {error}") from None
+
+    def put(self, records: Iterable[Record]) -> str:
+        """Write a pack, and say what it is called: the same for the same records, in whatever order."""
+        rows = []
+        for record in sorted(records, key=lambda each: (each.stage, each.key)):
+            values = asdict(record)
+            rows.append(
+                {n: json.dumps(v, sort_keys=True) if n in _PACKED_AS_JSON else v for n, v in values.items()}
+            )
+        with self._place.draft(".parquet") as draft:
+            table = pl.DataFrame(rows, schema=dict.fromkeys(rows[0], pl.String))
+            pq.write_table(table.to_arrow(compat_level=pl.CompatLevel.oldest()), draft, compression="zstd")
+            name = f"{self.folder}/{hashlib.sha256(draft.read_bytes()).hexdigest()}.parquet"
+            self._place.settle(draft, name)
+        return name
+
+
+_PACKED_AS_JSON = ("inputs", "outputs", "notes", "schemas")
 
 
 def render_record(record: Record) -> bytes:

@@ -11,7 +11,7 @@ from typing import Any
 from demoplan.errors import StoreError, UnknownNameError
 from demoplan.ids import content_hash
 from demoplan.store.manifest import EpisodeState, StateLists
-from demoplan.store.places import AbsentError, Place
+from demoplan.store.places import AbsentError, NewerError, Place
 
 SNAPSHOT_FORMAT = 2
 """Format 1 held all states itself; it is read as it is."""
@@ -173,10 +173,7 @@ class Snapshots:
         except (ValueError, KeyError, TypeError) as error:
             raise StoreError(f"{where}: not a snapshot: {error}") from None
         if written not in (1, SNAPSHOT_FORMAT):
-            raise StoreError(
-                f"{where}: snapshot format {written}; this version reads 1 to {SNAPSHOT_FORMAT}: "
-                "a newer demoplan wrote it"
-            )
+            raise NewerError(where, "snapshot format", written, f"1 to {SNAPSHOT_FORMAT}")
         return content
 
 

@@ -17,7 +17,8 @@ from demoplan.store.index import Index
 from demoplan.store.manifest import Manifest
 from demoplan.store.objects import ObjectStore, Table
 from demoplan.store.places import open_place
-from demoplan.store.records import Record, RecordStore, schema_version, stage_key
+from demoplan.store.records import Packs, Record, RecordStore, schema_version, stage_key
+from demoplan.store.shards import Shards
 from demoplan.store.snapshots import Snapshots
 from demoplan.store.timings import Timings
 
@@ -36,7 +37,8 @@ class StageOutput:
 class Store:
     """Tables, records, a manifest and domain versions, in a folder or a bucket.
 
-    ``objects/`` tables by content · ``records/`` what gave them · ``manifest.json`` with ``states/``: what
+    ``objects/`` tables by content · ``records/`` what gave them · ``shards/`` many of both in few files ·
+    ``manifest.json`` with ``states/``: what
     stands now · ``snapshots/`` what stood before · ``domains/`` versions · ``timings/`` what stages took ·
     ``reports/``, ``recordings/`` what can be made again from the rest.
     """
@@ -50,8 +52,10 @@ class Store:
         self.place = open_place(location)
         self.location = self.place.location
         """What opens the same store again, in this process or another."""
-        self.objects = ObjectStore(self.place)
-        self.records = RecordStore(self.place)
+        self.shards = Shards(self.place)
+        self.packs = Packs(self.place)
+        self.objects = ObjectStore(self.place, self.shards)
+        self.records = RecordStore(self.place, self.packs)
         self.manifest = Manifest(self.place)
         self.snapshots = Snapshots(self.place)
         self.domains = DomainStore(self.place)

@@ -12,7 +12,9 @@ from demoplan.store.records import Record
 from demoplan.store.store import SWEEP, Store
 from demoplan.store.verifying import LEFTOVER_AGE_S
 
-_ORDER = ("snapshot", "record", "table", "states", "leftover")
+_ORDER = ("snapshot", "record", "packed", "table", "shard", "states", "leftover")
+_AT_ONCE = ("snapshot", "packed", "leftover")
+"""What goes however young it is."""
 
 GRACE_S = 24 * 3600.0
 """What is younger than this stays, named or not: somebody may be about to name it [s]."""
@@ -25,7 +27,7 @@ class Swept:
     path: str
     """Relative to the store."""
     kind: str
-    """``table``, ``record``, ``states``, ``snapshot`` or ``leftover``."""
+    """``table``, ``record``, ``shard``, ``states``, ``snapshot``, ``leftover``; ``packed``: in a shard too."""
     n_bytes: int
 
 
@@ -80,7 +82,7 @@ def sweep(
         # Records go before the tables that they name: killed in between, nothing names what is not there.
         swept = []
         for entry, kind in sorted(doomed, key=lambda each: (_ORDER.index(each[1]), each[0].name)):
-            if kind not in ("snapshot", "leftover") and now_s - entry.modified_s < grace_s:
+            if kind not in _AT_ONCE and now_s - entry.modified_s < grace_s:
                 continue
             swept.append(Swept(entry.name, kind, entry.n_bytes))
             if not is_dry_run:
@@ -106,14 +108,52 @@ def _doomed(store: Store, forgotten: set[str], *, is_history_cut: bool) -> list[
                 store.snapshots.lists.name_of(content) for content in store.snapshots.lists_of(snapshot_id)
             }
     records = dict(_records(store))
-    superseded = _superseded(records, named) if is_history_cut else set()
+    # What is in a pack stays with it: packs are not written anew to forget something.
+    loose_names = {store.records.name_of(*key) for key in store.records.loose() - store.packs.keys()}
+    superseded = _superseded(records, named) & loose_names if is_history_cut else set()
     kept = {content for state in named for content in state.tables.values()}
     kept |= {c for name, record in records.items() if name not in superseded for c in record.outputs.values()}
     doomed = [(store.place.entry(store.snapshots.name_of(name)), "snapshot") for name in forgotten]
     doomed += [(entry, "record") for entry in loose if entry.name in superseded]
     doomed += [(entry, "table") for entry in tables if PurePosixPath(entry.name).stem not in kept]
+    doomed += _in_shards(store, tables, kept)
+    doomed += _in_packs(store, loose)
     doomed += [(entry, "states") for entry in lists if entry.name not in named_lists]
     return [(entry, kind) for entry, kind in doomed if entry is not None]
+
+
+def _in_shards(store: Store, tables: list[Entry], kept: set[str]) -> list[tuple[Entry, str]]:
+    """Tables that a shard holds too, and shards that hold nothing which is needed and not in another one."""
+    loose = {PurePosixPath(entry.name).stem: entry for entry in tables}
+    doomed: list[tuple[Entry, str]] = []
+    held: set[str] = set()
+    # The largest first: it is what smaller ones were joined into.
+    for entry in sorted(store.shards.entries(), key=lambda each: (-each.n_bytes, each.name)):
+        contents = store.shards.spots_of(entry.name).keys()
+        if contents & kept <= held:
+            # With nothing of its own that is needed it goes at once; with nothing needed at all, in time.
+            doomed.append((entry, "packed" if contents & kept else "shard"))
+            continue
+        held |= contents
+        double = sorted(contents & kept & loose.keys())
+        if double and store.shards.is_intact(entry.name):
+            doomed += [(loose[content], "packed") for content in double]
+    return doomed
+
+
+def _in_packs(store: Store, loose: list[Entry]) -> list[tuple[Entry, str]]:
+    """Records that a pack holds too, and packs whose records are all in others."""
+    by_name = {entry.name: entry for entry in loose}
+    doomed: list[tuple[Entry, str]] = []
+    held: set[tuple[str, str]] = set()
+    for entry in sorted(store.place.entries(store.packs.folder), key=lambda each: (-each.n_bytes, each.name)):
+        keys = store.packs.records_of(entry.name).keys()
+        if keys <= held:
+            doomed.append((entry, "packed"))
+            continue
+        held |= keys
+    names = (store.records.name_of(*key) for key in sorted(held))
+    return doomed + [(by_name[name], "packed") for name in names if name in by_name]
 
 
 def _old_snapshots(store: Store, n_snapshots: int) -> set[str]:

@@ -51,7 +51,7 @@ def verify(store: Store, on_done: Callable[[str], None] = lambda _: None) -> lis
     return sorted(set(faults))
 
 
-CHECKED = ("tables", "records", "manifest", "states", "snapshots", "domains", "leftovers")
+CHECKED = ("tables", "shards", "records", "manifest", "states", "snapshots", "domains", "leftovers")
 """Parts of the store that are checked, in this order."""
 
 _Found = Iterator[tuple[str, str, str]]
@@ -59,10 +59,26 @@ _Found = Iterator[tuple[str, str, str]]
 
 
 def _tables(store: Store) -> _Found:
-    for content in sorted(store.objects.contents()):
+    for content in sorted(store.objects.loose()):
         if not store.objects.is_intact(ContentHash(content)):
             name = store.objects.name_of(ContentHash(content))
             yield name, "damaged", "its bytes are not those that its name stands for"
+
+
+def _shards(store: Store) -> _Found:
+    for entry in store.shards.entries():
+        try:
+            if not store.shards.is_intact(entry.name):
+                yield entry.name, "damaged", "its bytes are not those that its name stands for"
+            else:
+                store.shards.spots_of(entry.name)
+        except StoreError as error:
+            yield entry.name, "unreadable", str(error)
+    for name in store.packs.names():
+        try:
+            store.packs.records_of(name)
+        except StoreError as error:
+            yield name, "damaged", str(error)
 
 
 def _records(store: Store) -> _Found:
@@ -165,7 +181,11 @@ def _leftovers(store: Store) -> _Found:
 
 
 _CHECKS: dict[str, Callable[[Store], _Found]] = dict(
-    zip(CHECKED, (_tables, _records, _manifest, _states, _snapshots, _domains, _leftovers), strict=True)
+    zip(
+        CHECKED,
+        (_tables, _shards, _records, _manifest, _states, _snapshots, _domains, _leftovers),
+        strict=True,
+    )
 )
 
 
