@@ -7,6 +7,7 @@ from typing import Annotated, Any
 import polars as pl
 import typer
 
+from demoplan.cli import definitions
 from demoplan.cli.options import (
     DEFAULT_STORE,
     JsonOption,
@@ -84,7 +85,9 @@ def ingest(
 
 
 def tables(
-    name: Annotated[str | None, typer.Argument(help="Which table; without it, what there is.")] = None,
+    name: Annotated[
+        str | None, typer.Argument(help="Which table, or `definitions`; without it, what there is.")
+    ] = None,
     episode: Annotated[str | None, typer.Option("--episode", "-e", help="One episode only.")] = None,
     dataset: Annotated[str | None, typer.Option("--dataset", "-d", help="One dataset only.")] = None,
     where: Annotated[
@@ -97,7 +100,10 @@ def tables(
     store: StoreOption = DEFAULT_STORE,
     as_json: JsonOption = False,
 ) -> None:
-    """List the stored tables, or show the rows of one."""
+    """List the stored tables, or show the rows of one; `definitions` lists what predicates are made of."""
+    if name == definitions.NAME:
+        definitions.show_definitions(as_json=as_json)
+        return
     opened = existing_store(store)
     states = [opened.manifest.episode(episode)] if episode else opened.manifest.episodes(dataset)
     if name is None:
