@@ -1,5 +1,6 @@
 """Logs to facts, by the thousand: what is up to date is skipped, what is bad is set aside with its reason."""
 
+import random
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -273,7 +274,10 @@ def _run(store: Store, jobs: Sequence[IngestJob], crew: Crew) -> Iterator[Ingest
             settings[shared] = _keep_setting(job)
         by_order[_order_of(job, settings[shared])] = job
     suspects: list[tuple[IngestOrder, ...]] = []
-    for group, done in crew(ingest_group, grouped(list(by_order), size_of=_n_bytes)):
+    groups = grouped(list(by_order), size_of=_n_bytes)
+    # Of several runs on one store, each takes another order, and finds done what the others did meanwhile.
+    random.SystemRandom().shuffle(groups)
+    for group, done in crew(ingest_group, groups):
         if done is not None:
             yield from done
         elif len(group) == 1:
