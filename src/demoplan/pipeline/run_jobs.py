@@ -5,6 +5,7 @@ from dataclasses import asdict, dataclass, replace
 
 import dataframely as dy
 
+from demoplan.engines.mujoco.filming import Film
 from demoplan.engines.mujoco.scene_spec import SceneSpec
 from demoplan.ids import content_hash
 from demoplan.language.pddl import domain_id, parse_domain
@@ -83,8 +84,12 @@ class RunJob:
         return self._inputs(), self._params(), code_version(*CODE)
 
 
-def carry_out(job: RunJob) -> Executed:
+def carry_out(job: RunJob, film: Film | None = None) -> Executed:
     """Make the run.
+
+    Args:
+        job: All that it needs.
+        film: Keeps what it looks like, if it is to be drawn.
 
     Raises:
         DemoplanError: If it cannot be started; :func:`not_started` is the row that says so.
@@ -95,7 +100,7 @@ def carry_out(job: RunJob) -> Executed:
     return execute(
         domain,
         job.goal.goal,
-        open_session(job.scene, job.robot, seed=job.seed),
+        open_session(job.scene, job.robot, seed=job.seed, film=film),
         job.vocabulary,
         run_id=job.run_id,
         seed=job.seed,

@@ -10,6 +10,7 @@ from typing import Literal, Protocol, TypeAlias
 
 import polars as pl
 
+from demoplan.engines.mujoco.filming import Film
 from demoplan.engines.mujoco.scene_spec import SceneSpec
 from demoplan.errors import UnknownNameError
 
@@ -276,7 +277,12 @@ ROBOTS = ("gripper", "gripper_dual", "tiago", "tiago_dual")
 
 
 def open_session(
-    scene: SceneSpec, robot: str = "gripper", *, seed: int, params: SessionParams = SessionParams()
+    scene: SceneSpec,
+    robot: str = "gripper",
+    *,
+    seed: int,
+    params: SessionParams = SessionParams(),
+    film: Film | None = None,
 ) -> Session:
     """A robot at rest in a scene that has come to rest.
 
@@ -285,6 +291,7 @@ def open_session(
         robot: One of :data:`ROBOTS`.
         seed: For everything random: sensor noise and gaps.
         params: Sensors, skills.
+        film: Keeps what the scene looked like, if it is to be drawn.
 
     Raises:
         UnknownNameError: If there is no such robot.
@@ -295,4 +302,4 @@ def open_session(
     # Robots are made where they are needed: TIAGo wants packages that the light one does without.
     from demoplan.engines.mujoco.simulated import SimulatedSession  # noqa: PLC0415
 
-    return SimulatedSession(scene, robot, seed=seed, params=params)
+    return SimulatedSession(scene, robot, seed=seed, params=params, film=film)

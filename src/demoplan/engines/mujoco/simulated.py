@@ -7,6 +7,7 @@ import mujoco
 import numpy as np
 import polars as pl
 
+from demoplan.engines.mujoco.filming import Film
 from demoplan.engines.mujoco.robots.arm_control import ArmControl
 from demoplan.engines.mujoco.robots.checking import Checker
 from demoplan.engines.mujoco.robots.contacts import ContactWatch
@@ -52,9 +53,16 @@ class SimulatedSession:
     """A robot in a scene, stepped by MuJoCo; see :class:`demoplan.engines.mujoco.session.Session`."""
 
     def __init__(
-        self, scene: SceneSpec, robot: str, *, seed: int, params: SessionParams = SessionParams()
+        self,
+        scene: SceneSpec,
+        robot: str,
+        *,
+        seed: int,
+        params: SessionParams = SessionParams(),
+        film: Film | None = None,
     ) -> None:
         """Build the scene, let it come to rest, and take the first reading."""
+        self._film = film
         self.scene = scene
         self.robot = robot
         self.params = params
@@ -200,6 +208,8 @@ class SimulatedSession:
         mujoco.mj_step(self.model, self.data, nstep=self._n_substeps)
         self._n_ticks += 1
         self._measure()
+        if self._film is not None:
+            self._film.take(self.time_ns, self.model, self.data)
         if self._n_ticks % self._sensor_every == 0:
             self._observe()
 
