@@ -1,5 +1,7 @@
 """The geometric definitions that a vocabulary builds its predicates from, for whoever writes one."""
 
+from typing import Any
+
 from demoplan.cli.output import print_json, print_table, say
 
 NAME = "definitions"
@@ -10,7 +12,7 @@ def show_definitions(*, as_json: bool) -> None:
     """Print every definition: what it says, of how many things, and the numbers that it wants."""
     from demoplan.stages.perceive.registry import COMMON_NUMBERS, DEFINITIONS
 
-    rows = [
+    rows: list[dict[str, Any]] = [
         {
             "definition": name,
             "n_arguments": definition.arity,

@@ -1,8 +1,6 @@
 """Commands that let robots run plans: execute, evaluate, serve-goals."""
 
-import os
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -21,7 +19,6 @@ from demoplan.errors import UnknownNameError, UsageError
 from demoplan.store import Store
 
 if TYPE_CHECKING:
-    from demoplan.engines.mujoco.filming import Film
     from demoplan.language.vocabulary import Vocabulary
     from demoplan.manifests.faults import AnyFault
 
@@ -84,13 +81,6 @@ def execute(
     view: Annotated[
         Path | None, typer.Option("--view", metavar="FILE.rrd", help="Save a recording of the run.")
     ] = None,
-    picture: Annotated[
-        Path | None, typer.Option("--picture", metavar="FILE.png", help="Draw how it ended.")
-    ] = None,
-    video: Annotated[
-        Path | None,
-        typer.Option("--video", metavar="FILE.gif", help="Draw the run, four times as fast; .gif or .webp."),
-    ] = None,
     skills: SkillsOption = None,
     store: StoreOption = DEFAULT_STORE,
     as_json: JsonOption = False,
@@ -132,9 +122,8 @@ def execute(
         params=ExecuteParams(monitor=monitors[0], skills=read_skills(skills)),
         scene=spec,
     )
-    film = _film(picture, video)
     try:
-        done = carry_out(job, film)
+        done = carry_out(job)
     except DemoplanError as error:
         if as_json:
             print_json({"run": not_started(job, str(error)).row(0, named=True), "steps": []})
@@ -168,38 +157,9 @@ def execute(
     if view is not None:
         from demoplan.pipeline.run_views import record_run
 
-        record_run(done.run, done.steps, done.frames, spec, vocabulary, view)
+        record_run(done.run, done.steps, done.frames, spec, vocabulary, view, goal=goal)
         say(f"recording written to {view}")
-    if film is not None:
-        _draw(film, picture, video)
     raise typer.Exit(int(Exit.FINE if row["is_goal_reached"] else Exit.FAILED))
-
-
-def _film(picture: Path | None, video: Path | None) -> "Film | None":
-    """What a run is to be kept on, if it is to be drawn; refused before it begins if it could not be."""
-    if picture is None and video is None:
-        return None
-    from demoplan.engines.mujoco.drawing import require_drawing
-    from demoplan.engines.mujoco.filming import Film
-
-    require_drawing(picture, video, _backend())
-    return Film()
-
-
-def _draw(film: "Film", picture: Path | None, video: Path | None) -> None:
-    from demoplan.engines.mujoco.drawing import PICTURE, VIDEO, save_picture, save_video
-
-    if picture is not None:
-        save_picture(film, picture, params=replace(PICTURE, backend=_backend()))
-        say(f"picture written to {picture}")
-    if video is not None:
-        save_video(film, video, params=replace(VIDEO, backend=_backend()))
-        say(f"video written to {video}")
-
-
-def _backend() -> str:
-    """What draws. With MuJoCo's own variable, MuJoCo does not start where OSMesa is missing."""
-    return os.environ.get("DEMOPLAN_GL", "egl").lower()
 
 
 def evaluate(

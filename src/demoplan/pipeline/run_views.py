@@ -32,6 +32,8 @@ def record_run(
     vocabulary: Vocabulary,
     output: Path,
     params: EpisodeViewParams | None = None,
+    *,
+    goal: str | None = None,
 ) -> Path:
     """Write the recording of a run: scene, trails, predicates, plans, the steps of each hand, and diagnoses.
 
@@ -43,13 +45,19 @@ def record_run(
         vocabulary: What perception looks for.
         output: Where the recording goes, ``….rrd``.
         params: Choices of the view.
+        goal: Text of the goal, of which the run states the name.
 
     Raises:
         UnknownNameError: If nothing was dispatched and no frames were kept.
     """
     name = _name_of(run, steps)
     tables = EpisodeTables(
-        episode_id=name, frames=Frames.create_empty(), entities=(), run=_named(run, name), steps=steps
+        episode_id=name,
+        frames=Frames.create_empty(),
+        entities=(),
+        run=_named(run, name),
+        steps=steps,
+        goal=goal,
     )
     if frames is not None and scene is not None and not frames.is_empty():
         hands = tuple(sorted(set(steps["hand"].drop_nulls())))
@@ -66,6 +74,7 @@ def record_run(
             thresholds=thresholds_of(vocabulary),
             run=tables.run,
             steps=steps,
+            goal=goal,
         )
     return save_episode(output, tables, params)
 
@@ -89,7 +98,10 @@ def record_runs(store: Store, evaluation: Evaluation, vocabulary: Vocabulary, fo
         if record.frames is not None:
             frames = store.get(record.frames, Frames)
             path = folder / f"{record.job.run_id}.rrd"
-            written.append(record_run(record.run, record.steps, frames, record.job.scene, vocabulary, path))
+            job = record.job
+            written.append(
+                record_run(record.run, record.steps, frames, job.scene, vocabulary, path, goal=job.goal.goal)
+            )
     return written
 
 

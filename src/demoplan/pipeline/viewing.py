@@ -169,6 +169,8 @@ class StoredRun:
 
     run_id: str
     dataset: str
+    goal: str | None
+    """Text of its goal."""
     run: dy.DataFrame[Runs]
     steps: dy.DataFrame[Executions]
     frames: dy.DataFrame[Frames] | None
@@ -203,6 +205,7 @@ def stored_run(store: Store, asked: str) -> StoredRun:
     return StoredRun(
         run_id=fitting[0],
         dataset=dataset,
+        goal=record.inputs.get("goal"),
         run=run,
         steps=store.get(record.outputs["executions"], Executions),
         frames=store.get(record.outputs["frames"], Frames) if "frames" in record.outputs else None,
@@ -213,4 +216,6 @@ def stored_run(store: Store, asked: str) -> StoredRun:
 
 def record_stored_run(found: StoredRun, output: Path, params: EpisodeViewParams | None = None) -> Path:
     """Write the recording of a stored execution; without kept poses, its plans, steps and diagnoses only."""
-    return record_run(found.run, found.steps, found.frames, found.scene, found.vocabulary, output, params)
+    return record_run(
+        found.run, found.steps, found.frames, found.scene, found.vocabulary, output, params, goal=found.goal
+    )

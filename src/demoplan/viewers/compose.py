@@ -106,9 +106,9 @@ def _about(tables: EpisodeTables, start_ns: int, end_ns: int) -> dict[str, Any]:
         run = tables.run.row(0, named=True)
         return {
             "kind": "execution",
-            "title": f"{run['goal']} ({run['outcome']})",
-            "properties": properties_of_run(run, duration_s=duration_s),
-            "document": document_of_run(run, duration_s=duration_s),
+            "title": f"{tables.goal or run['goal']} ({run['outcome']})",
+            "properties": properties_of_run(run, duration_s=duration_s, goal=tables.goal),
+            "document": document_of_run(run, duration_s=duration_s, goal=tables.goal),
         }
     rows = None if tables.episodes is None else _of_episode(tables.episodes, tables.episode_id)
     episode = None if rows is None or rows.is_empty() else rows.row(0, named=True)

@@ -76,12 +76,13 @@ def document_of(
     return "\n".join(lines) + "\n"
 
 
-def document_of_run(run: dict[str, Any], *, duration_s: float) -> str:
+def document_of_run(run: dict[str, Any], *, duration_s: float, goal: str | None = None) -> str:
     """Goal, outcome and circumstances of an execution, as Markdown.
 
     Args:
         run: Its row of the Runs table.
         duration_s: Simulated time that the view shows [s].
+        goal: Text of the goal; the run states its name.
     """
     fault = "none"
     if run["fault"] is not None:
@@ -100,7 +101,7 @@ def document_of_run(run: dict[str, Any], *, duration_s: float) -> str:
         ("duration", f"{duration_s:.2f} s"),
         ("run", run["run_id"]),
     ]
-    return "\n".join(_table(run["goal"], rows)) + "\n"
+    return "\n".join(_table(goal or run["goal"], rows)) + "\n"
 
 
 def _table(title: str, rows: Sequence[tuple[str, str]]) -> list[str]:
@@ -130,13 +131,14 @@ def properties_of(
     return tuple((name, value) for name, value in found.items() if value is not None)
 
 
-def properties_of_run(run: dict[str, Any], *, duration_s: float) -> Properties:
+def properties_of_run(run: dict[str, Any], *, duration_s: float, goal: str | None = None) -> Properties:
     """What an execution's recording is found by; ``success`` is whether physics reached the goal."""
     found = {
         "kind": "execution",
         "id": run["run_id"],
         "success": run["is_goal_reached"],
-        "goal": run["goal"],
+        "goal": goal or run["goal"],
+        "task": run["goal"],
         "robot": run["robot"],
         "domain": run["domain_name"],
         "domain_id": run["domain_id"],
