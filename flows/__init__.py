@@ -2,6 +2,7 @@
 
 import os
 
-# Before Prefect is imported: neither its client nor its embedded server may report to anybody.
+# Before Prefect or Ray are imported: neither they nor their servers may report to anybody.
 os.environ.setdefault("DO_NOT_TRACK", "1")
 os.environ.setdefault("PREFECT_SERVER_ANALYTICS_ENABLED", "false")
+os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")

@@ -68,17 +68,43 @@ def test_a_full_disk_is_told(tmp_path, monkeypatch):
     assert (first.severity, "free" in first.sentence, "gc" in first.remedy) == ("warning", True, True)
 
 
-def test_telemetry_is_told_until_both_switches_are_off(tmp_path):
+@pytest.fixture
+def quiet(tmp_path):
+    """A machine on which nothing reports to anybody."""
+    folder = tmp_path / "config" / "rerun"
+    folder.mkdir(parents=True)
+    (folder / "analytics.json").write_text('{"analytics_enabled": false}')
+    return {
+        "DO_NOT_TRACK": "1",
+        "RAY_USAGE_STATS_ENABLED": "0",
+        "XDG_CONFIG_HOME": str(tmp_path / "config"),
+    }
+
+
+def test_telemetry_of_prefect_is_told_until_both_switches_are_off(tmp_path, quiet):
     pytest.importorskip("prefect")
     from prefect.settings import PREFECT_SERVER_ANALYTICS_ENABLED, temporary_settings
 
     with temporary_settings({PREFECT_SERVER_ANALYTICS_ENABLED: True}):
-        (found,) = look("telemetry", tmp_path)
+        (found,) = look("telemetry", tmp_path, **quiet | {"DO_NOT_TRACK": ""})
     assert found.severity == "warning"
     assert "DO_NOT_TRACK=1" in found.remedy
     assert "PREFECT_SERVER_ANALYTICS_ENABLED=false" in found.remedy
     with temporary_settings({PREFECT_SERVER_ANALYTICS_ENABLED: False}):
-        assert severities(look("telemetry", tmp_path, DO_NOT_TRACK="1")) == ["ok"]
+        assert severities(look("telemetry", tmp_path, **quiet)) == ["ok"]
+
+
+@pytest.mark.parametrize("content", [None, '{"analytics_enabled": true}', "{}", "not JSON"])
+def test_telemetry_of_the_viewer_is_told_unless_it_was_turned_off(tmp_path, quiet, content):
+    path = tmp_path / "config" / "rerun" / "analytics.json"
+    path.unlink() if content is None else path.write_text(content)
+    assert "rerun analytics disable" in [found.remedy for found in look("telemetry", tmp_path, **quiet)]
+
+
+def test_telemetry_of_ray_is_told_where_ray_is(tmp_path, quiet):
+    pytest.importorskip("ray")
+    del quiet["RAY_USAGE_STATS_ENABLED"]
+    assert "RAY_USAGE_STATS_ENABLED=0" in [found.remedy for found in look("telemetry", tmp_path, **quiet)]
 
 
 def test_sqlite_and_a_short_start_are_told_and_a_server_by_url_is_fine(tmp_path):

@@ -1,6 +1,7 @@
 """What of a machine would stand in the way: planner, drawing, versions, database, telemetry, store."""
 
 import importlib.util
+import json
 import multiprocessing
 import os
 import shutil
@@ -264,26 +265,51 @@ def _database(machine: Machine) -> Iterator[Finding]:
 
 
 def _telemetry(machine: Machine) -> Iterator[Finding]:
+    """Who of those that demoplan builds on would tell its makers that it is used."""
+    found = [check(machine) for check in (_prefect_telemetry, _ray_telemetry, _rerun_telemetry)]
+    reporting = [finding for finding in found if finding is not None]
+    yield from reporting
+    if not reporting:
+        yield Finding("telemetry", "ok", "demoplan has none, and that of what it builds on is off")
+
+
+def _prefect_telemetry(machine: Machine) -> Finding | None:
     if importlib.util.find_spec("prefect") is None:
-        yield Finding("telemetry", "ok", "demoplan sends nothing to anybody")
-        return
+        return None
     # Here, since it takes seconds, and Prefect is optional.
     from prefect.settings import get_current_settings  # noqa: PLC0415
 
-    reporting = []
+    remedies = []
     if get_current_settings().server.analytics_enabled:
-        reporting.append("PREFECT_SERVER_ANALYTICS_ENABLED=false")
+        remedies.append("PREFECT_SERVER_ANALYTICS_ENABLED=false")
     if machine.environment.get("DO_NOT_TRACK", "").lower() not in _TRUE:
-        reporting.append("DO_NOT_TRACK=1")
-    if reporting:
-        yield Finding(
-            "telemetry",
-            "warning",
-            "Prefect's commands may report to its makers; demoplan's flows do not",
-            " and ".join(reporting),
-        )
-    else:
-        yield Finding("telemetry", "ok", "Prefect's is off; demoplan has none")
+        remedies.append("DO_NOT_TRACK=1")
+    if not remedies:
+        return None
+    sentence = "Prefect's commands may report to its makers; demoplan's flows do not"
+    return Finding("telemetry", "warning", sentence, " and ".join(remedies))
+
+
+def _ray_telemetry(machine: Machine) -> Finding | None:
+    if importlib.util.find_spec("ray") is None or machine.environment.get("RAY_USAGE_STATS_ENABLED") == "0":
+        return None
+    sentence = "Ray's commands may report to its makers; demoplan's flows do not"
+    return Finding("telemetry", "warning", sentence, "RAY_USAGE_STATS_ENABLED=0")
+
+
+def _rerun_telemetry(machine: Machine) -> Finding | None:
+    """The viewer knows no environment variable for it, only a file, which it writes when it first starts."""
+    home = machine.environment.get("HOME", "~")
+    folder = machine.environment.get("XDG_CONFIG_HOME") or f"{home}/.config"
+    try:
+        chosen = json.loads(Path(folder, "rerun", "analytics.json").expanduser().read_text(encoding="utf-8"))
+        if chosen.get("analytics_enabled") is False:
+            return None
+    except (OSError, ValueError, AttributeError):
+        pass  # not chosen yet: then it is on
+    return Finding(
+        "telemetry", "warning", "rerun's viewer reports its use to its makers", "rerun analytics disable"
+    )
 
 
 CHECKS: Mapping[str, Callable[[Machine], Iterator[Finding]]] = {
