@@ -3,11 +3,15 @@
 import ast
 import functools
 import importlib.util
+import threading
 from pathlib import Path
 
 from demoplan.ids import content_hash
 
 _PACKAGE = "demoplan"
+
+_PARSING = threading.Lock()
+"""Threads that parse at once fail now and then in Python 3.11: "AST constructor recursion depth mismatch"."""
 
 
 @functools.cache
@@ -40,7 +44,8 @@ def _module(name: str) -> tuple[str, tuple[str, ...]]:
     spec = importlib.util.find_spec(name)
     if spec is None or spec.origin is None:
         raise ModuleNotFoundError(name)
-    tree = ast.parse(Path(spec.origin).read_text())
+    with _PARSING:
+        tree = ast.parse(Path(spec.origin).read_text())
     imported: set[str] = set()
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
