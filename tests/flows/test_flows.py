@@ -1,6 +1,7 @@
 """Flows do what the pipeline does, and show it."""
 
 import asyncio
+import json
 import shutil
 from pathlib import Path
 
@@ -116,6 +117,7 @@ def test_importing_the_flows_turns_telemetry_off():
 
     assert flows.__doc__
     assert os.environ["DO_NOT_TRACK"] == "1"
+    assert os.environ["RAY_USAGE_STATS_ENABLED"] == "0"
     assert os.environ["PREFECT_SERVER_ANALYTICS_ENABLED"] == "false"
     assert "analytics_enabled = false" in (CHECKOUT / "prefect.toml").read_text()
 
@@ -188,3 +190,49 @@ def test_a_flow_with_a_wrong_argument_fails_at_once_and_says_why(tmp_path, prefe
 
     with pytest.raises(UsageError, match="no dataset here"):
         asyncio.run(ingest(tmp_path, store=str(tmp_path / "store")))
+
+
+@pytest.mark.slow
+def test_robots_carry_out_what_was_planned_and_the_matrix_says_how_often(lab, tmp_path, prefect_server):
+    pytest.importorskip("mujoco")
+    from flows.evaluate import evaluate
+
+    goals = tmp_path / "goals.yaml"
+    goals.write_text("goals:\n  - {name: one, goal: 'onTop(cube_red,cube_blue)'}\n")
+    arguments = {
+        "store": str(tmp_path / "store"),
+        "segmenter": "rules",
+        "workers": 1,
+        "goals": goals,
+        "seeds": 1,
+    }
+    asyncio.run(evaluate(lab, **arguments))
+    found = artifacts("simulated")
+    rows = json.loads(found["simulated-lab-gripper"].data)
+    assert {row["domain"] for row in rows} == {"lab", "lab--p1-one-left", "lab--p1-two-right"}
+    assert {row["one"] for row in rows} == {"1 of 1"}
+    assert (tmp_path / "store/reports/lab-gripper.html").is_file()
+    assert "lab-gripper.html" in found["simulated-report-lab-gripper"].data
+
+
+@pytest.mark.slow
+def test_two_flow_runs_on_one_store_at_once_lose_nothing_and_add_one_version(lab, tmp_path, prefect_server):
+    from flows.ingest import ingest
+    from flows.learn import learn
+
+    from demoplan.store import Store
+    from demoplan.store.verifying import verify
+
+    async def at_once(store):
+        learning = [learn(lab, store=store, segmenter="rules", workers=1) for _ in range(2)]
+        return await asyncio.gather(*learning, ingest(lab, store=store, workers=1))
+
+    first, second, states = asyncio.run(at_once(str(tmp_path / "store")))
+    store = Store(tmp_path / "store")
+    assert first.learned.version.domain_id == second.learned.version.domain_id
+    assert [v.domain_id for v in store.domains.versions()] == [first.learned.version.domain_id]
+    standing = store.manifest.episodes("lab")
+    assert {state.status for state in standing} == {"complete"}
+    assert [state.episode_id for state in standing] == [state.episode_id for state in states]
+    assert all("transitions" in state.tables for state in standing)
+    assert verify(store) == []

@@ -1,6 +1,8 @@
 """Commands that let robots run plans: execute, evaluate, serve-goals."""
 
+import os
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -19,8 +21,8 @@ from demoplan.errors import UnknownNameError, UsageError
 from demoplan.store import Store
 
 if TYPE_CHECKING:
+    from demoplan.engines.mujoco.filming import Film
     from demoplan.language.vocabulary import Vocabulary
-    from demoplan.manifests.faults import AnyFault
 
 RobotOption = Annotated[str, typer.Option("--robot", help="gripper, gripper_dual, tiago, tiago_dual.")]
 MonitorOption = Annotated[
@@ -81,6 +83,13 @@ def execute(
     view: Annotated[
         Path | None, typer.Option("--view", metavar="FILE.rrd", help="Save a recording of the run.")
     ] = None,
+    picture: Annotated[
+        Path | None, typer.Option("--picture", metavar="FILE.png", help="Draw how it ended.")
+    ] = None,
+    video: Annotated[
+        Path | None,
+        typer.Option("--video", metavar="FILE.gif", help="Draw the run, four times as fast; .gif or .webp."),
+    ] = None,
     skills: SkillsOption = None,
     store: StoreOption = DEFAULT_STORE,
     as_json: JsonOption = False,
@@ -122,8 +131,9 @@ def execute(
         params=ExecuteParams(monitor=monitors[0], skills=read_skills(skills)),
         scene=spec,
     )
+    film = _film(picture, video)
     try:
-        done = carry_out(job)
+        done = carry_out(job, film)
     except DemoplanError as error:
         if as_json:
             print_json({"run": not_started(job, str(error)).row(0, named=True), "steps": []})
@@ -159,7 +169,36 @@ def execute(
 
         record_run(done.run, done.steps, done.frames, spec, vocabulary, view, goal=goal)
         say(f"recording written to {view}")
+    if film is not None:
+        _draw(film, picture, video)
     raise typer.Exit(int(Exit.FINE if row["is_goal_reached"] else Exit.FAILED))
+
+
+def _film(picture: Path | None, video: Path | None) -> "Film | None":
+    """What a run is to be kept on, if it is to be drawn; refused before it begins if it could not be."""
+    if picture is None and video is None:
+        return None
+    from demoplan.engines.mujoco.drawing import require_drawing
+    from demoplan.engines.mujoco.filming import Film
+
+    require_drawing(picture, video, _backend())
+    return Film()
+
+
+def _draw(film: "Film", picture: Path | None, video: Path | None) -> None:
+    from demoplan.engines.mujoco.drawing import PICTURE, VIDEO, save_picture, save_video
+
+    if picture is not None:
+        save_picture(film, picture, params=replace(PICTURE, backend=_backend()))
+        say(f"picture written to {picture}")
+    if video is not None:
+        save_video(film, video, params=replace(VIDEO, backend=_backend()))
+        say(f"video written to {video}")
+
+
+def _backend() -> str:
+    """What draws. With MuJoCo's own variable, MuJoCo does not start where OSMesa is missing."""
+    return os.environ.get("DEMOPLAN_GL", "egl").lower()
 
 
 def evaluate(
@@ -186,34 +225,22 @@ def evaluate(
     as_json: JsonOption = False,
 ) -> None:
     """Execute every domain × goal × seed × fault × monitor; what was run before is not run again."""
-    from demoplan.engines.mujoco.skills import read_skills
-    from demoplan.manifests.faults import read_faults
-    from demoplan.manifests.goals import read_goals
-    from demoplan.pipeline.evaluate import evaluate as run_all
-    from demoplan.pipeline.evaluate import jobs_of
-    from demoplan.pipeline.execute import ExecuteParams
+    from demoplan.pipeline.simulate import Batch, simulate
     from demoplan.stages.score_runs import fault_confusion, score_runs
 
-    monitors = _checked(monitor or ("full",), robot)
-    opened = existing_store(store)
-    chosen = _domains(opened, domains)
-    vocabulary = _vocabulary(opened, chosen[0][2])
-    injected: list[AnyFault | None] = [None, *(read_faults(faults) if faults else ())]
-    jobs = jobs_of(
-        opened,
-        [(name, text) for name, text, _ in chosen],
-        read_goals(goals),
-        vocabulary=vocabulary,
+    batch = Batch(
+        domains=tuple(domains),
+        goals=goals,
         seeds=range(first_seed, first_seed + seeds),
         robot=robot,
-        faults=injected,
-        monitors=monitors,
-        params=ExecuteParams(skills=read_skills(skills)),
-        folder=goals.parent,
+        faults=faults,
+        monitors=_checked(monitor or ("full",), robot),
+        skills=skills,
         is_recorded=views is not None,
     )
-    with progress("execute", len(jobs)) as done:
-        result = run_all(jobs, n_workers=workers_of(workers), on_done=done)
+    opened = existing_store(store)
+    simulated = simulate(opened, batch, n_workers=workers_of(workers), progress=progress)
+    result = simulated.evaluation
     scores = score_runs(result.runs)
     if as_json:
         print_json({"runs": result.runs, "scores": scores, "classes": fault_confusion(result.runs)})
@@ -236,27 +263,8 @@ def evaluate(
     if views is not None:
         from demoplan.pipeline.run_views import record_runs
 
-        record_runs(opened, result, vocabulary, views)
+        record_runs(opened, result, simulated.vocabulary, views)
         say(f"recordings written to {views}")
-
-
-def _domains(store: Store, asked: Sequence[str]) -> list[tuple[str, str, str]]:
-    """(name, text, dataset) of the latest version of each domain asked for; a pattern may name several."""
-    from fnmatch import fnmatchcase
-
-    from demoplan.pipeline.learning import stored_domain
-
-    names = list(dict.fromkeys(version.name for version in store.domains.versions()))
-    chosen: dict[str, tuple[str, str, str]] = {}
-    for text in asked:
-        matching = [name for name in names if fnmatchcase(name, text)] if set(text) & set("*?[") else [text]
-        if not matching:
-            raise UnknownNameError("domain", text, names, f"store {store.location}")
-        for name in matching:
-            learned = stored_domain(store, name)
-            version = learned.version
-            chosen.setdefault(str(version.domain_id), (version.name, learned.text, version.dataset))
-    return list(chosen.values())
 
 
 def serve_goals(
