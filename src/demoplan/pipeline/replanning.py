@@ -13,6 +13,7 @@ from demoplan.language.momentary import Momentary
 from demoplan.language.possibility import impossibility
 from demoplan.pipeline.reaching import out_of_reach
 from demoplan.pipeline.senses import Senses
+from demoplan.pipeline.sharing import beyond_reach, within_reach
 from demoplan.stages.ask import ask
 from demoplan.stages.monitor import SensedState
 
@@ -69,6 +70,7 @@ def plan_from(
             atom for atom in sensed.held if atom.predicate in known and set(atom.arguments) <= set(present)
         )
     )
+    beyond = beyond_reach(senses)
     whole = momentary.one_thing_at_a_time(domain)
     ladder = [whole] if is_first else [whole, momentary.lasting_domain(whole)]
     answer: Attempt | None = None
@@ -78,7 +80,10 @@ def plan_from(
             problem = ask(rung, start, present, goal, "execution")
         except DemoplanError as error:
             return Planned(plan=None, domain=domain, outcome="no_plan", reason=str(error))
-        answer = solve(rung, problem, params)
+        answer = solve(*within_reach(rung, problem, beyond), params)
+        if answer.outcome == "unsolvable" and beyond:
+            # A plan that asks too much of a hand can at least be shown, with what it cannot get to.
+            answer = solve(rung, problem, params)
         if answer.plan is not None and answer.is_validated:
             return _checked(answer.plan, rung, problem, senses, skills)
         if answer.outcome != "unsolvable":
