@@ -8,14 +8,27 @@ from prefect.logging import get_run_logger
 
 from demoplan.pipeline.arrivals import ArrivalParams, enrol, find_arrivals
 from demoplan.pipeline.datasets import OpenDataset, remember
+from demoplan.pipeline.fetching import fetch_logs
 from demoplan.pipeline.ingest import ingest as ingest_jobs
 from demoplan.pipeline.ingest import jobs_of
 from demoplan.store import EpisodeState, Store
+from demoplan.store.places import open_place
 from flows.crews import Workplace, crew_of, workplace
 from flows.edges import EDGE
-from flows.inputs import Address, QuietSeconds, Runner, Workers, opened, store_at
+from flows.inputs import Address, Bucket, QuietSeconds, Runner, Workers, opened, store_at
 from flows.progress import ArtifactProgress
 from flows.showing import show_episodes
+
+
+@task(name="fetch", tags=["network", "disk"], **EDGE)
+async def fetch_arrivals(dataset: Path, root: Path | None, bucket: str, quiet_s: float) -> int:
+    """Bring logs that are in a bucket and not here beside the dataset; how many files these were."""
+    place, folder = open_place(bucket), opened(dataset, root).root
+    fetched = await asyncio.to_thread(fetch_logs, place, folder, quiet_s=quiet_s)
+    for each in fetched:
+        if each.refusal:
+            get_run_logger().warning("%s/%s is left alone: %s", bucket, each.file, each.refusal)
+    return sum(not each.refusal for each in fetched)
 
 
 @task(name="enrol", tags=["disk"], **EDGE)
@@ -59,6 +72,7 @@ async def ingest(
     workers: Workers = 2,
     runner: Runner = None,
     address: Address = None,
+    bucket: Bucket = None,
 ) -> list[EpisodeState]:
     """Read, align and perceive every episode of a dataset, after taking up what has arrived.
 
@@ -72,7 +86,10 @@ async def ingest(
         workers: Workers at once: processes for episodes, and planners.
         runner: Who works on episodes: processes, threads, dask or ray; by default DEMOPLAN_RUNNER says.
         address: Of a Dask or Ray cluster that is there already; without it, one is started on this machine.
+        bucket: Logs in s3://BUCKET/PREFIX that are not here yet are fetched first; with a pattern, taken up.
     """
+    if bucket:
+        await fetch_arrivals(dataset, root, bucket, quiet_s)
     if pattern:
         await enrol_arrivals(dataset, root, pattern, quiet_s)
     states = await ingest_dataset(dataset, store, root, workplace(runner, address, workers))

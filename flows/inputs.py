@@ -12,6 +12,7 @@ from demoplan.store import Store
 Workers = Annotated[int, Field(ge=1, le=256)]
 Runner = Annotated[Literal["processes", "threads", "dask", "ray"] | None, Field()]
 Address = Annotated[str | None, Field(pattern=r"^[A-Za-z0-9_.:/\[\]-]+$")]
+Bucket = Annotated[str | None, Field(pattern=r"^s3://[^/]+(/.*)?$")]
 QuietSeconds = Annotated[float, Field(ge=0.0)]
 
 

@@ -6,7 +6,7 @@ from prefect import flow
 
 from flows.evaluate import evaluate
 from flows.ingest import ingest
-from flows.inputs import Address, QuietSeconds, Runner, Workers
+from flows.inputs import Address, Bucket, QuietSeconds, Runner, Workers
 from flows.learn import learn
 from flows.reprocess import reprocess
 
@@ -22,6 +22,7 @@ async def nightly(
     workers: Workers = 2,
     runner: Runner = None,
     address: Address = None,
+    bucket: Bucket = None,
 ) -> str:
     """Reprocess, ingest, learn, evaluate; the id of the domain that stands in the morning.
 
@@ -36,9 +37,10 @@ async def nightly(
         workers: Workers at once: processes for episodes, and planners.
         runner: Who works on episodes: processes, threads, dask or ray; by default DEMOPLAN_RUNNER says.
         address: Of a Dask or Ray cluster that is there already; without it, one is started on this machine.
+        bucket: Logs in s3://BUCKET/PREFIX that are not here yet are fetched first; with a pattern, taken up.
     """
     await reprocess(store, workers=workers, runner=runner, address=address)
-    await ingest(dataset, store, root, pattern, quiet_s, workers, runner, address)
+    await ingest(dataset, store, root, pattern, quiet_s, workers, runner, address, bucket)
     version = await learn(dataset, store, root, segmenter, workers, runner, address)
     await evaluate(dataset, store, root, segmenter, workers, runner, address)
     return version.learned.version.domain_id

@@ -16,7 +16,7 @@ from demoplan.pipeline.datasets import OpenDataset, read_manifest
 from demoplan.store.atomic import locked, write_bytes
 
 LOG_SUFFIXES = (".mcap", ".bag", ".db3")
-_BAG_METADATA = "metadata.yaml"
+BAG_METADATA = "metadata.yaml"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -147,7 +147,7 @@ def _logs_below(root: Path) -> set[Path]:
     for path in root.rglob("*"):
         if path.suffix not in LOG_SUFFIXES or not path.is_file() or path.name.startswith("."):
             continue
-        is_part = path.parent != root and (path.parent / _BAG_METADATA).is_file()
+        is_part = path.parent != root and (path.parent / BAG_METADATA).is_file()
         logs.add(path.parent if is_part else path)
     return logs
 
