@@ -15,10 +15,13 @@ from demoplan.ids import ContentHash
 from demoplan.store.encodings import encodings_of
 from demoplan.store.places import AbsentError, NewerError, Place
 from demoplan.store.shards import Shards
+from demoplan.tables.migrating import migrated, version_of
 from demoplan.tables.validating import is_typed, validated
 
 TABLE_FORMAT = "1"
 """Version of the form in which tables are written; a reader refuses a newer one."""
+
+_VERSION = "demoplan.table_version"
 
 Table = TypeVar("Table", bound=dy.Schema)
 
@@ -147,7 +150,16 @@ def read_as_declared(
     written = metadata.get(b"demoplan.table_format", b"?").decode()
     if written != TABLE_FORMAT:
         raise NewerError(where, "table format", written, TABLE_FORMAT)
-    return validated(table, schema)
+    name, version = schema.__name__, metadata.get(_VERSION.encode(), b"1").decode()
+    if not version.isdecimal() or not 1 <= int(version) <= version_of(name):
+        raise NewerError(where, f"{name} version", version, f"1 to {version_of(name)}")
+    try:
+        return validated(migrated(table, name, int(version)), schema)
+    except (dy.exc.SchemaError, dy.exc.ValidationError, pl.exceptions.PolarsError) as error:
+        raise StoreError(
+            f"{where}: is not what {name} version {version} declares: {error}; "
+            "`demoplan reprocess` makes it again"
+        ) from None
 
 
 @functools.cache
@@ -172,10 +184,17 @@ def _notes_of(schema: type[dy.Schema]) -> dict[str, dict[str, str]]:
 def _described(table: pa.Table, schema: type[dy.Schema]) -> pa.Table:
     """The table with each column's description and unit in its field metadata."""
     notes = _notes_of(schema)
+    version = version_of(schema.__name__)
+    # Version 1 is not written down, so that tables keep their hashes until they change.
+    noted = {_VERSION: str(version)} if version > 1 else {}
     return pa.Table.from_arrays(
         table.columns,
         schema=pa.schema(
             [field.with_metadata(notes[field.name]) for field in table.schema],
-            metadata={"demoplan.table": schema.__name__, "demoplan.table_format": TABLE_FORMAT},
+            metadata={
+                "demoplan.table": schema.__name__,
+                "demoplan.table_format": TABLE_FORMAT,
+                **noted,
+            },
         ),
     )

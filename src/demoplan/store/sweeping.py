@@ -27,7 +27,7 @@ class Swept:
     path: str
     """Relative to the store."""
     kind: str
-    """``table``, ``record``, ``shard``, ``states``, ``snapshot``, ``leftover``; ``packed``: in a shard too."""
+    """``table``, ``record``, ``shard``, ``states``, ``snapshot``, ``leftover``, or ``packed``: in a shard."""
     n_bytes: int
 
 

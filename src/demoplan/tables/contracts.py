@@ -4,6 +4,8 @@ from typing import Any
 
 import dataframely as dy
 
+from demoplan.tables.migrating import version_of
+
 TABLE_CONTRACT_FORMAT = 1
 
 
@@ -17,6 +19,7 @@ def contract(schema: type[dy.Schema]) -> dict[str, Any]:
     return {
         "table": schema.__name__,
         "format": TABLE_CONTRACT_FORMAT,
+        "version": version_of(schema.__name__),
         "description": " ".join((schema.__doc__ or "").split()),
         "key": schema.primary_key(),
         "columns": [
