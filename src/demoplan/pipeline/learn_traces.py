@@ -73,8 +73,9 @@ def learn_traces(case_dir: Path, out: Path, params: DenoiseParams = DenoiseParam
         )
     read_s = time.perf_counter() - start
     denoised = conclude(gathered, params)
-    _write(out, render_strips(signatures, denoised.actions()))
-    known = set(denoised.operators["operator"])
+    actions = denoised.actions()
+    _write(out, render_strips(signatures, actions))
+    known = set(actions)
     return LearnTracesReport(
         denoised=denoised,
         signatures=signatures,
@@ -116,12 +117,13 @@ def _read(
         signatures, found = infer_signatures(_texts(root, files, faults))
         faults.clear()  # told again when the files are read
     faults += found
+    problems = _problems(root)
     reader = TraceReader(signatures)
     gathered: Gathered | None = None
     for text, path in _texts(root, files, faults):
         objects: dict[str, str] | None = None
         if domain.is_file():  # inferred types are not those of the problems
-            objects, found = _objects(root, path, signatures)
+            objects, found = _objects(root, problems.get(_number(Path(path))), signatures)
             faults += found
         reader.add(text, path, objects)
         if reader.n_pending > _MAX_PENDING:
@@ -140,19 +142,23 @@ def _texts(root: Path, files: list[Path], faults: list[Fault]) -> Iterator[tuple
             faults.append(Fault(name, 1, f"not readable as text: {error}"))
 
 
+def _problems(root: Path) -> dict[int, Path]:
+    """Problem files by number; of several with one number the first by name."""
+    found = sorted((root / "problems").glob("[0-9]*_*.pddl"), reverse=True)
+    return {_number(path): path for path in found}
+
+
 def _objects(
-    root: Path, name: str, signatures: Signatures
+    root: Path, path: Path | None, signatures: Signatures
 ) -> tuple[dict[str, str] | None, tuple[Fault, ...]]:
-    """Objects of the trajectory's problem, if it has one and it is a problem."""
-    number = _number(Path(name))
-    found = sorted((root / "problems").glob(f"{number}_*.pddl")) if number >= 0 else []
-    if not found:
+    """Objects of a problem, if there is one and it is a problem."""
+    if path is None:
         return None, ()
-    problem = found[0].relative_to(root).as_posix()
+    name = path.relative_to(root).as_posix()
     try:
-        return read_objects(_text(found[0]), problem, signatures)
+        return read_objects(_text(path), name, signatures)
     except (PddlError, ManifestError) as error:
-        return None, (Fault(problem, 1, f"objects taken as they are found: {error}"),)
+        return None, (Fault(name, 1, f"objects taken as they are found: {error}"),)
 
 
 def _text(path: Path) -> str:

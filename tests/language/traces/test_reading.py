@@ -1,9 +1,14 @@
 """Trace files in every form become the same tables; what is wrong is named by line, and the rest is kept."""
 
+from unittest.mock import patch
+
 import numpy as np
 import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
 
 from demoplan.language.traces import TraceReader, read_signatures
+from demoplan.language.traces.tokens import Pieces
 
 DOMAIN = """(define (domain Lamps) (:types lamp room - object)
 (:predicates (lit ?l - lamp) (in ?l - lamp ?r - room) (dark))
@@ -243,3 +248,18 @@ def test_a_hostile_file_takes_no_longer_than_a_friendly_one(piece):
     seconds(100)
     # Four times the length may cost some more than four times as much, but not the square of it.
     assert seconds(20_000) < 12 * seconds(5_000) + 0.2
+
+
+@given(st.text(alphabet="() aL1:-\n", max_size=30), st.integers(0, len(AMLGYM)))
+@example(":state", 13)
+@example("(dark)", 25)
+@example(")", len(AMLGYM))
+@settings(max_examples=300, deadline=None)
+def test_what_is_read_in_one_go_is_what_is_read_item_by_item(inserted, place):
+    text = AMLGYM[:place] + inserted + AMLGYM[place:]
+    quick, quick_faults = read(text)
+    with patch.object(Pieces, "regular", return_value=None):
+        careful, careful_faults = read(text)
+    assert quick_faults == careful_faults
+    assert states_of(quick) == states_of(careful)
+    assert quick.action_arguments.tolist() == careful.action_arguments.tolist()

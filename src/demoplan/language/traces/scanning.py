@@ -13,16 +13,9 @@ LEAF = re.compile(r"\(([^()]*)\)")
 NEGATION = re.compile(r"\(\s*not\s*\(([^()]*)\)\s*\)", re.IGNORECASE)
 _ITEM = re.compile(r"\(\s*(:state|:init|:action|:operator|operator:)(?=[\s()])", re.IGNORECASE)
 _ACTIONS = frozenset({":action", ":operator", "operator:"})
-# The next three are matched against texts whose white space was reduced to single blanks.
+# The next two are matched against texts whose white space was reduced to single blanks.
 _HEAD = re.compile(r"\( ?(:?(trajectory|observation) ?)?\)?", re.IGNORECASE)
 _PARTIAL_HEAD = re.compile(r"\( ?(:?(trajectory|observation) ?)?\(? ?:partial ?\)?", re.IGNORECASE)
-_SKELETON = re.compile(
-    r"\( ?(?::?(?:trajectory|observation) ?)?"
-    r"(?:\( ?(?::state|:init) ?\) ?\( ?(?::action|:operator|operator:) ?\) ?)+"
-    r"\( ?:state ?\) ?\)",
-    re.IGNORECASE,
-)
-"""A whole trace without the innermost lists, where states and actions alternate as they should."""
 _CONJUNCTION = re.compile(r"\s*\(\s*and(?=[\s()])", re.IGNORECASE)
 _COMMENT = re.compile(r";[^\n]*")
 _MAX_TEXT = 60
@@ -43,17 +36,6 @@ class Item:
 def without_comments(text: str) -> str:
     """The text with comments blanked out, so that places stay where they were."""
     return _COMMENT.sub(lambda match: " " * len(match[0]), text) if ";" in text else text
-
-
-def regular_parts(text: str) -> tuple[list[list[str]], list[str]] | None:
-    """Atoms of each state and texts of the actions, of a trace with nothing unusual in it; else nothing."""
-    if not _SKELETON.fullmatch(" ".join(LEAF.sub("", text).split())):
-        return None
-    head, *parts = _ITEM.split(text)
-    if _PARTIAL_HEAD.fullmatch(" ".join(head.split())):
-        return None
-    bodies = parts[1::2]
-    return [LEAF.findall(body) for body in bodies[::2]], bodies[1::2]
 
 
 def head_of(text: str) -> tuple[bool, str]:

@@ -15,7 +15,7 @@ from demoplan.language.pddl.expressions import Expression, Node, Place, Word, re
 from demoplan.language.traces.values import ActionSignature, Fault, Signatures
 from demoplan.language.types import ROOT, TypeHierarchy
 
-_OBJECTS = re.compile(r"\(\s*:objects\s[^()]*\)", re.IGNORECASE)
+_OBJECTS = re.compile(r"\(\s*:objects\s([^()]*)\)", re.IGNORECASE)
 
 
 class _Source:
@@ -175,9 +175,14 @@ def read_objects(text: str, file: str, signatures: Signatures) -> tuple[dict[str
     Raises:
         PddlError: If the text is not a PDDL problem at all.
     """
-    text = _only_objects(text)
-    source = _Source(text, file)
     kinds = {name.lower(): name for name in (*signatures.types.names, ROOT)}
+    alone = _objects_alone(text)
+    if alone is not None:
+        plain = _plain_objects(alone[1], kinds)
+        if plain is not None:
+            return plain, ()
+        text = "(define (problem p)" + "\n" * text.count("\n", 0, alone.start()) + alone[0] + ")"
+    source = _Source(text, file)
     objects: dict[str, str] = {}
     for section in _sections(text, file):
         if isinstance(section.items[0], Word) and section.items[0].text == ":objects":
@@ -190,15 +195,31 @@ def read_objects(text: str, file: str, signatures: Signatures) -> tuple[dict[str
     return objects, tuple(source.faults)
 
 
-def _only_objects(text: str) -> str:
-    """The problem without its other sections, on the same lines; the whole of it if it has an unusual form.
+def _objects_alone(text: str) -> re.Match[str] | None:
+    """The objects of a problem in which they stand in one place, without comments; else nothing.
 
     The initial state of a noisy trace holds thousands of atoms that nobody asks for.
     """
-    match = _OBJECTS.search(text)
-    if match is None or ";" in text or len(_OBJECTS.findall(text)) != 1:
-        return text
-    return "(define (problem p)" + "\n" * text.count("\n", 0, match.start()) + match[0] + ")"
+    if ";" in text or len(_OBJECTS.findall(text)) != 1:
+        return None
+    return _OBJECTS.search(text)
+
+
+def _plain_objects(listed: str, kinds: Mapping[str, str]) -> dict[str, str] | None:
+    """Objects with types, if all types are known; else nothing."""
+    objects: dict[str, str] = {}
+    waiting: list[str] = []
+    words = iter(listed.split())
+    for word in words:
+        if word != "-":
+            waiting.append(word)
+            continue
+        kind = kinds.get(next(words, "-").lower())
+        if kind is None:
+            return None
+        objects |= dict.fromkeys(waiting, kind)
+        waiting = []
+    return objects | dict.fromkeys(waiting, ROOT)
 
 
 def render_strips(

@@ -1,5 +1,6 @@
 """What symbolic traces hold: signatures, states and actions as integer codes, and what was left out."""
 
+import itertools
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -158,3 +159,11 @@ class TraceSet:
             declared_object=chained(self.declared_object, later.declared_object),
             declared_type=self.declared_type + later.declared_type,
         )
+
+
+def padded(rows: list[tuple[int, ...]], widest: int = 0) -> Codes:
+    """Rows of codes as a table, ``ABSENT`` beyond their ends."""
+    widest = max(widest, max(map(len, rows), default=0))
+    padding = [(ABSENT,) * (widest - n) for n in range(widest + 1)]
+    flat = itertools.chain.from_iterable(row + padding[len(row)] for row in rows)
+    return np.fromiter(flat, dtype=np.int64, count=len(rows) * widest).reshape(len(rows), widest)
