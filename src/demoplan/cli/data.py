@@ -2,7 +2,7 @@
 
 import os
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import polars as pl
 import typer
@@ -21,6 +21,9 @@ from demoplan.cli.output import Exit, print_frame, print_json, print_table, prog
 from demoplan.errors import UnknownNameError, UsageError
 from demoplan.store import EpisodeState, Store
 from demoplan.tables import Activities, Episodes, Facts, Frames, Samples, Topics, Transitions
+
+if TYPE_CHECKING:
+    from demoplan.pipeline.datasets import OpenDataset
 
 EPISODE_TABLES = {
     "episodes": Episodes,
@@ -58,6 +61,22 @@ def ingest(
     store: StoreOption = DEFAULT_STORE,
     root: RootOption = None,
     workers: WorkersOption = 0,
+    pattern: Annotated[
+        str | None,
+        typer.Option(
+            "--take-up",
+            metavar="PATTERN",
+            help="Take up logs that arrived: a regular expression over their names with the groups "
+            "participant and task, as '(?P<participant>p\\d+)-(?P<task>.+)'.",
+        ),
+    ] = None,
+    bucket: Annotated[
+        str | None,
+        typer.Option("--bucket", metavar="URL", help="First fetch logs from s3://BUCKET/PREFIX, each once."),
+    ] = None,
+    quiet_s: Annotated[
+        float, typer.Option("--quiet", min=0.0, help="Leave logs that changed less than this ago [s].")
+    ] = 30.0,
     as_json: JsonOption = False,
 ) -> None:
     """Read, align and perceive every episode of a dataset into the store."""
@@ -66,6 +85,11 @@ def ingest(
     from demoplan.pipeline.ingest import jobs_of
 
     opened = open_dataset(dataset, root=root, environment=os.environ)
+    if bucket is not None:
+        _fetch(bucket, opened.root, quiet_s)
+    if pattern is not None:
+        _take_up(dataset, opened, pattern, quiet_s)
+        opened = open_dataset(dataset, root=root, environment=os.environ)
     remember(opened, Store(store))
     jobs = jobs_of(opened, Store(store), opened.dataset.episodes)
     with progress("ingest", len(jobs)) as done:
@@ -82,6 +106,31 @@ def ingest(
             [(s.episode_id, s.status, ", ".join(sorted(s.tables))) for s in states],
         )
     raise typer.Exit(int(show_states(states, as_json=as_json)))
+
+
+def _fetch(bucket: str, root: Path, quiet_s: float) -> None:
+    """Bring new logs of a bucket; say what was left there."""
+    from demoplan.pipeline.fetching import Fetched, fetch_logs
+    from demoplan.store.places import open_place
+
+    def tell(log: Fetched) -> None:
+        if log.refusal:
+            warn(f"{bucket}/{log.file} is left alone: {log.refusal}")
+        else:
+            say(f"{log.file}: {log.n_bytes} bytes fetched")
+
+    fetch_logs(open_place(bucket), root, quiet_s=quiet_s, on_done=tell)
+
+
+def _take_up(dataset: Path, opened: "OpenDataset", pattern: str, quiet_s: float) -> None:
+    """Write logs that have arrived into the dataset's manifest; say which were left."""
+    from demoplan.pipeline.arrivals import ArrivalParams, enrol, find_arrivals
+
+    arrivals = find_arrivals(opened, ArrivalParams(pattern=pattern, quiet_s=quiet_s))
+    for arrival in arrivals:
+        if arrival.refusal:
+            warn(f"{arrival.file} is left alone: {arrival.refusal}")
+    say(f"{enrol(dataset, arrivals)} new episodes in {dataset}")
 
 
 def tables(
