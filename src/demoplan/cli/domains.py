@@ -1,13 +1,14 @@
-"""Commands about domain versions: list, show, diff."""
+"""Commands about domain versions: list, show, diff, lint, test, graph."""
 
+from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from demoplan.cli.options import DEFAULT_STORE, JsonOption, StoreOption, existing_store
-from demoplan.cli.output import print_json, print_table, stdout
+from demoplan.cli.output import Exit, print_json, print_table, say, stdout
 
-domains = typer.Typer(no_args_is_help=True, help="Domain versions: list, show, diff.")
+domains = typer.Typer(no_args_is_help=True, help="Domain versions: list, show, diff, lint, test, graph.")
 
 
 def register(app: typer.Typer) -> None:
@@ -17,17 +18,43 @@ def register(app: typer.Typer) -> None:
 
 @domains.command("list")
 def list_versions(store: StoreOption = DEFAULT_STORE, as_json: JsonOption = False) -> None:
-    """List every version, by name, in the order in which they were added."""
+    """List what each name stood for, oldest first: a version that came back is listed again."""
     from dataclasses import asdict
+    from datetime import UTC, datetime
 
-    versions = existing_store(store).domains.versions()
+    opened = existing_store(store).domains
+    histories = {name: opened.history(name) for name in opened.names()}
+    listed = [
+        (each, opened.published(name, each), each is history[-1])
+        for name, history in histories.items()
+        for each in history
+    ]
     if as_json:
-        print_json([asdict(version) for version in versions])
+        print_json(
+            [
+                asdict(version) | {"made_at_ns": each.made_at_ns, "is_latest": is_latest}
+                for each, version, is_latest in listed
+            ]
+        )
         return
     print_table(
-        f"{len(versions)} domain versions",
-        ["name", "id", "parent", "operators", "episodes", "dataset"],
-        [(v.name, v.domain_id, v.parent, v.n_operators, len(v.episodes), v.dataset) for v in versions],
+        f"{len({version.domain_id for _, version, _ in listed})} domain versions",
+        ["name", "id", "", "since", "parent", "operators", "episodes", "dataset"],
+        [
+            (
+                v.name,
+                v.domain_id,
+                "latest" if is_latest else "",
+                datetime.fromtimestamp(each.made_at_ns / 1e9, UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
+                if each.made_at_ns
+                else "",
+                v.parent,
+                v.n_operators,
+                len(v.episodes),
+                v.dataset,
+            )
+            for each, v, is_latest in listed
+        ],
     )
 
 
@@ -135,3 +162,99 @@ def diff(
         print_json([asdict(change) for change in changes])
     else:
         stdout.out(in_words(changes))
+
+
+DomainArgument = Annotated[str, typer.Argument(help="Id, start of an id, or name (then the latest).")]
+
+
+@domains.command("lint")
+def lint_version(
+    domain: DomainArgument,
+    state: Annotated[
+        str | None,
+        typer.Option(
+            "--state", "-s", help="Also say what cannot be reached from here: EPISODE@start, a file."
+        ),
+    ] = None,
+    store: StoreOption = DEFAULT_STORE,
+    as_json: JsonOption = False,
+) -> None:
+    """Say what is suspicious about a domain. Exit code 1 if something in it cannot be meant."""
+    from dataclasses import asdict
+
+    from demoplan.language.lint import ERROR
+    from demoplan.pipeline.domain_quality import lint_domain
+    from demoplan.pipeline.learning import stored_domain
+
+    opened = existing_store(store)
+    found = lint_domain(stored_domain(opened, domain), opened, state)
+    if as_json:
+        print_json([asdict(each) for each in found])
+    else:
+        for each in found:
+            stdout.print(str(each), markup=False, soft_wrap=True)
+        n_errors = sum(each.severity == ERROR for each in found)
+        say(f"{len(found)} findings, {n_errors} of them errors")
+    if any(each.severity == ERROR for each in found):
+        raise typer.Exit(int(Exit.FAILED))
+
+
+@domains.command("test")
+def test_version(
+    domain: DomainArgument,
+    plans: Annotated[
+        list[Path],
+        typer.Argument(
+            help="Plan files: steps, and comments `; start: EPISODE@start`, `; goal: onTop(a, b)`, "
+            "`; expect: valid|invalid|solvable|unsolvable`."
+        ),
+    ],
+    time_limit: Annotated[float, typer.Option(min=0.1, help="For each planning attempt [s].")] = 30.0,
+    store: StoreOption = DEFAULT_STORE,
+    as_json: JsonOption = False,
+) -> None:
+    """Try plan files as test cases on a domain. Exit code 1 if one of them goes otherwise than expected."""
+    from dataclasses import asdict
+
+    from demoplan.engines.fast_downward import SolveParams
+    from demoplan.pipeline.domain_quality import read_case, run_cases
+    from demoplan.pipeline.learning import stored_domain
+
+    opened = existing_store(store)
+    cases = [read_case(path) for path in plans]
+    results = run_cases(stored_domain(opened, domain).domain, cases, opened, SolveParams(wall_s=time_limit))
+    if as_json:
+        print_json([asdict(each) for each in results])
+    else:
+        print_table(
+            f"{sum(each.is_passed for each in results)} of {len(results)} as expected",
+            ["case", "expected", "found", "", "reason"],
+            [(r.case, r.expected, r.found, "passed" if r.is_passed else "FAILED", r.reason) for r in results],
+        )
+    if not all(each.is_passed for each in results):
+        raise typer.Exit(int(Exit.FAILED))
+
+
+@domains.command()
+def graph(
+    domain: DomainArgument,
+    out: Annotated[Path, typer.Option("--out", "-o", help="File to write: .svg or .dot (for Graphviz).")],
+    store: StoreOption = DEFAULT_STORE,
+    as_json: JsonOption = False,
+) -> None:
+    """Draw what each operator needs and changes."""
+    from demoplan.pipeline.learning import stored_domain
+    from demoplan.store.atomic import write_bytes
+    from demoplan.viewers.domain_graph import domain_dot, domain_svg
+
+    draw = {".svg": domain_svg, ".dot": domain_dot}.get(out.suffix)
+    if draw is None:
+        raise typer.BadParameter(
+            f"{out}: a picture is .svg or .dot; `dot -Tpng` makes a .png of the latter", param_hint="--out"
+        )
+    learned = stored_domain(existing_store(store), domain)
+    write_bytes(out, draw(learned.domain).encode())
+    if as_json:
+        print_json({"path": str(out), "domain_id": learned.version.domain_id})
+    else:
+        say(f"{out}: {len(learned.domain.operators)} operators of {learned.version.name}")

@@ -8,6 +8,7 @@ Source: M. Helmert, "Concise finite-domain representations for PDDL planning tas
 without refinement.
 """
 
+import re
 from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -32,6 +33,31 @@ class ExclusiveGroup:
             if predicate == atom.predicate:
                 return atom.arguments[position]
         return None
+
+
+_MEMBER = re.compile(r"([A-Za-z][\w-]*)\(([#·,]*)\)")
+
+
+def group_text(members: Iterable[tuple[str, int, int]]) -> str:
+    """A group as text, the object's place marked, from (predicate, position, number of arguments).
+
+    >>> group_text([("handOpen", 0, 1), ("inHand", 0, 2)])
+    'handOpen(#), inHand(#,·)'
+    """
+    return ", ".join(
+        f"{name}({','.join('#' if place == position else '·' for place in range(n))})"
+        for name, position, n in members
+    )
+
+
+def parse_group(text: str) -> ExclusiveGroup:
+    """The group that a text of :func:`group_text` stands for.
+
+    >>> parse_group("handOpen(#), inHand(#,·)")
+    ExclusiveGroup(members=(('handOpen', 0), ('inHand', 0)))
+    """
+    members = [(match[1], match[2].split(",").index("#")) for match in _MEMBER.finditer(text)]
+    return ExclusiveGroup(tuple(sorted(members)))
 
 
 def exclusive_groups(domain: Domain, state: Iterable[Atom] = ()) -> tuple[ExclusiveGroup, ...]:

@@ -8,7 +8,7 @@ import dataframely as dy
 import numpy as np
 import polars as pl
 
-from demoplan.stages.learn.encode import Encoded
+from demoplan.language.invariants import group_text
 from demoplan.stages.learn.exclusion import Exclusion
 from demoplan.stages.learn.lift import AFTER, BEFORE, Lifted, LiftedAtom
 from demoplan.stages.learn.mend import Mended
@@ -55,18 +55,12 @@ def _misreadings(mended: Mended) -> Iterator[dict[str, object]]:
         }
 
 
-def group_text(group: Exclusion, data: Encoded) -> str:
-    """A group as text, with a # in the place of the object: ``handOpen(#), inHand(#,·)``."""
-    texts = []
-    for code, position in group.members:
-        signature = data.predicates[code]
-        places = ["#" if place == position else "·" for place in range(len(signature.argument_types))]
-        texts.append(f"{signature.name}({','.join(places)})")
-    return ", ".join(texts)
-
-
 def _exclusion(group: Exclusion, mended: Mended) -> dict[str, object]:
-    text, key = group_text(group, mended.data), mended.data.types[group.key_type]
+    predicates, key = mended.data.predicates, mended.data.types[group.key_type]
+    text = group_text(
+        (predicates[code].name, position, len(predicates[code].argument_types))
+        for code, position in group.members
+    )
     return {
         "kind": "exclusion",
         "subject": f"{text} for # {key}",
