@@ -10,10 +10,13 @@ from pathlib import Path
 
 import pytest
 import rerun as rr
+from rerun.chunk import RrdReader
 
 from demoplan.errors import DemoplanError, UsageError
 from demoplan.viewers.catalog import matching, served
+from demoplan.viewers.episode import save_episode
 from demoplan.viewers.rerun_adapter import PROPERTIES
+from demoplan.viewers.sources import EpisodeTables
 
 CHECKOUT = Path(__file__).resolve().parents[2]
 
@@ -64,6 +67,19 @@ def test_recordings_are_found_by_their_properties(folder, where, expected):
 def test_a_condition_that_is_none_is_refused_with_the_columns_that_there_are(folder):
     with served(folder) as catalogue, pytest.raises(UsageError, match=r"columns: .*participant.*success"):
         matching(catalogue, "sucess = false")
+
+
+def test_a_dataset_opens_with_the_layout_of_its_largest_recording(folder, tmp_path, frames):
+    episode = EpisodeTables(episode_id=str(frames["episode_id"][0]), frames=frames, entities=())
+    save_episode(tmp_path / "with" / "large.rrd", episode)
+    write(tmp_path / "with" / "small.rrd", "small", success=True)
+    (layout,) = RrdReader(tmp_path / "with" / "large.rrd").blueprints()
+    with served(tmp_path) as catalogue:
+        dataset = catalogue.server.client().get_dataset("with")
+        assert dataset.default_blueprint() == layout.recording_id
+        assert len(dataset.segment_ids()) == 2
+    with served(folder) as catalogue:
+        assert catalogue.server.client().get_dataset("runs").default_blueprint() is None
 
 
 def test_a_folder_without_recordings_is_refused(tmp_path):

@@ -14,6 +14,7 @@ from types import FrameType
 from typing import Any
 
 import polars as pl
+from rerun.chunk import RrdReader
 from rerun.server import Server
 
 from demoplan.errors import DemoplanError, UsageError
@@ -65,6 +66,7 @@ def served(folder: Path, *, host: str = "127.0.0.1", port: int = 0) -> Iterator[
     except Exception as error:  # rerun raises several kinds, none of them its own
         raise DemoplanError(f"rerun's catalog does not serve {folder}: {error}") from error
     try:
+        _lay_out(server, datasets)
         yield Catalogue(
             url=server.url(),
             n_recordings={name: len(paths) for name, paths in datasets.items()},
@@ -73,6 +75,25 @@ def served(folder: Path, *, host: str = "127.0.0.1", port: int = 0) -> Iterator[
     finally:
         if server.is_running():
             server.shutdown()
+
+
+def _lay_out(server: Server, datasets: dict[str, list[Path]]) -> None:
+    """Let each dataset open with the layout of its largest recording, which shows most.
+
+    The viewer takes no recording's own layout from a catalog: without this, it makes one up.
+    """
+    if not _has_client():
+        return
+    client = server.client()
+    for name, paths in datasets.items():
+        richest = max(paths, key=lambda path: (path.stat().st_size, path))
+        if RrdReader(richest).blueprints():
+            client.get_dataset(name).register_blueprint(richest.resolve().as_uri())
+
+
+def _has_client() -> bool:
+    """Whether datafusion is installed, of which rerun's client is made."""
+    return importlib.util.find_spec("datafusion") is not None
 
 
 def matching(catalogue: Catalogue, where: str) -> pl.DataFrame:
@@ -90,7 +111,7 @@ def matching(catalogue: Catalogue, where: str) -> pl.DataFrame:
         DemoplanError: If datafusion, of which the client is made, is not installed.
         UsageError: If the condition is none; the message names the columns.
     """
-    if importlib.util.find_spec("datafusion") is None:
+    if not _has_client():
         raise DemoplanError("queries need the extra 'catalog': pip install 'demoplan[catalog]'")
     client = catalogue.server.client()
     found = []
