@@ -18,11 +18,13 @@ Logs are written before anything is measured. Then, in processes of their own:
 - *one changed*: one log is replaced by another one, then `demoplan reprocess`: the whole command, with
   everything that depends on that episode, the domain included.
 
-``--counts N`` instead aggregates operator counts over N activities, beside learning from all transitions at
-once.
+``--counts N`` instead aggregates operator counts over N activities from tables in the store, as many as there
+are buckets, beside learning from all transitions at once: the transitions of the shipped episodes, again and
+again under other names.
 """
 
 import argparse
+import itertools
 import json
 import os
 import resource
@@ -63,7 +65,7 @@ def generate(folder: Path, n_episodes: int) -> None:
     bounds = [n_episodes * k // N_CORES for k in range(N_CORES + 1)]
     workers = [
         get_context("spawn").Process(target=write_logs, args=(folder, *pair))
-        for pair in zip(bounds[:-1], bounds[1:], strict=True)
+        for pair in itertools.pairwise(bounds)
     ]
     for worker in workers:
         worker.start()
@@ -79,6 +81,7 @@ class Measured:
     work: Callable[[Any], Any]
 
     def __call__(self, order: Any) -> tuple[Any, float, float, float]:
+        """The result, wall time [s], CPU time [s], and peak memory of the process so far [MiB]."""
         start, cpu = time.perf_counter(), time.process_time()
         result = self.work(order)
         return result, time.perf_counter() - start, time.process_time() - cpu, peak_mib()
@@ -92,6 +95,7 @@ class MeasuringCrew:
         self.orders: list[tuple[float, float, float]] = []
 
     def __call__(self, work: Callable[[Any], Any], orders: Sequence[Any]) -> Iterator[tuple[Any, Any]]:
+        """Each order with its result; see ``Crew``."""
         from demoplan.pipeline.crews import Processes
 
         for order, done in Processes(self.n_workers)(Measured(work), orders):
@@ -186,7 +190,8 @@ def one_size(folder: Path, n_episodes: int) -> dict[str, float]:
     found = child("--first", str(folder))
     found["log_mb"] = statistics.mean(path.stat().st_size for path in logs[:100]) / 1e6
     store = str(folder / "store")
-    found["dry_run_s"], found["dry_run_cpu_s"], nothing = command("reprocess", "--dry-run", "--store", store)
+    dry = "reprocess", "--dry-run", "--store", store
+    found["dry_run_s"], found["dry_run_cpu_s"], nothing = command(*dry)
     assert not nothing["stale"], nothing["stale"][:3]
     write_logs(folder, n_episodes, n_episodes + 1)
     (folder / synthetic.file_of(n_episodes)).replace(logs[n_episodes // 2])
@@ -199,6 +204,78 @@ def one_size(folder: Path, n_episodes: int) -> dict[str, float]:
     )
     assert again["episodes"] == [synthetic.episode_id(n_episodes // 2)]
     return found
+
+
+def count_all(n_activities: int, way: str) -> dict[str, float]:
+    """Time and memory of aggregating operator counts over so many activities, or of learning at once."""
+    import polars as pl
+
+    from demoplan.pipeline.activities import rules, segment_episodes, tables_of
+    from demoplan.pipeline.datasets import open_dataset
+    from demoplan.pipeline.ingest import ingest, jobs_of
+    from demoplan.stages.learn import counting, learn
+    from demoplan.store import Store
+    from demoplan.tables import Patterns, Sightings, Transitions
+
+    opened = open_dataset(synthetic.RECORDED)
+    call = opened.vocabulary.types, [rule.signature for rule in opened.vocabulary.predicates]
+    with tempfile.TemporaryDirectory(prefix="demoplan-scale-") as folder:
+        store = Store(Path(folder))
+        states = ingest(jobs_of(opened, store, opened.dataset.episodes), on_done=lambda _: None)
+        states = segment_episodes(opened, store, states, {state.episode_id: rules() for state in states})
+        shown = tables_of(store, states, "transitions", Transitions)
+        n_copies = -(-n_activities // shown.height)
+
+        def named(table: Any, numbers: Sequence[int]) -> Any:
+            return pl.concat([table.with_columns(pl.col("episode_id") + f"-{k:06d}") for k in numbers])
+
+        if way == "at once":
+            table = Transitions.cast(named(shown, range(n_copies)))
+            start, own = time.perf_counter(), time.process_time()
+            operators = learn(table, *call).operators.height
+            return _taken(table.height, start, own) | {"operators": operators}
+        grip = counting.ranks([counting.grip_votes(shown, *call)])
+        support = counting.ranks([counting.support_votes(shown, *call, grip)])
+        found = counting.sight(shown, *call, grip, support)
+        # Sixty-four episodes in a bucket, as the store keeps them.
+        per_bucket = max(1, 64 // len(states))
+        contents = [
+            store.objects.put(
+                Sightings.cast(named(found.sightings, range(k, min(k + per_bucket, n_copies)))), Sightings
+            )
+            for k in range(0, n_copies, per_bucket)
+        ]
+        kept = store.objects.put(found.patterns, Patterns)
+        start, own = time.perf_counter(), time.process_time()
+        rows = pl.concat([store.get(content, Sightings) for content in contents])
+        if way == "counts":
+            n_rows = int(counting.count(rows)["n_transitions"].sum())
+            return _taken(n_rows, start, own) | {"operators": 0}
+        operators = counting.learn_from_sightings(rows, store.get(kept, Patterns), *call).operators.height
+        return _taken(rows.height, start, own) | {"operators": operators}
+
+
+def _taken(n_rows: int, start: float, own: float) -> dict[str, float]:
+    taken = time.perf_counter() - start, time.process_time() - own
+    return {"activities": n_rows, "wall_s": taken[0], "cpu_s": taken[1], "peak_mib": peak_mib()}
+
+
+def counts_table(n_activities: int) -> None:
+    print("| way | activities | wall [s] | CPU [s] | peak [MiB] | operators |")
+    print("| --- " * 6 + "|", flush=True)
+    ways = {
+        "counts": "counts of each pattern, from buckets",
+        "operators": "operators and evidence, from buckets",
+        "at once": "learning from all transitions",
+    }
+    for way, words in ways.items():
+        n = n_activities if way != "at once" else n_activities // 5
+        found = child("--count", way, "--counts", str(n))
+        print(
+            f"| {words} | {found['activities']} | {found['wall_s']:.1f} | {found['cpu_s']:.1f} "
+            f"| {found['peak_mib']:.0f} | {found['operators'] or ''} |",
+            flush=True,
+        )
 
 
 _COLUMNS = {
@@ -245,10 +322,18 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--sizes", type=int, nargs="+", default=[100, 1000], help="episodes [100 1000]")
     parser.add_argument("--folder", type=Path, help="where logs and stores are kept meanwhile")
+    parser.add_argument("--counts", type=int, metavar="N", help="aggregate counts of N activities instead")
+    parser.add_argument("--count", help=argparse.SUPPRESS)
     parser.add_argument("--first", type=Path, help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.first:
         print(json.dumps(first_run(options.first)))
+        return
+    if options.count:
+        print(json.dumps(count_all(options.counts, options.count)))
+        return
+    if options.counts:
+        counts_table(options.counts)
         return
     table(options.sizes, options.folder)
 

@@ -2,9 +2,9 @@
 
 Each episode has two hands and six cubes, and lasts 30 s. Its left hand and three of its cubes come from one
 shipped recording in which a left hand stacks, its right hand and the other three cubes from another one in
-which a right hand does; each of the two scenes is turned and moved on its half of the table, slowed down to the
-length of the episode at a pace that varies, and seen through noise of its own. No two episodes have a reading in
-common. Poses come at 60 Hz, as from motion capture; grips at 60 Hz.
+which a right hand does; each of the two scenes is turned and moved on its half of the table, slowed down to
+the length of the episode at a pace that varies, and seen through noise of its own. No two episodes have a
+reading in common. Poses come at 60 Hz, as from motion capture; grips at 60 Hz.
 
 The bytes are put together without a loop over messages, so that writing takes a fraction of what is measured.
 """
@@ -16,11 +16,13 @@ from pathlib import Path
 
 import numpy as np
 import zstandard
+from rosbags.typesys import Stores, get_typestore
 
 from demoplan.geometry import multiply, normalised, rotate
 from demoplan.logs import read
 from demoplan.logs.writing import JoyStream, PoseStream, Stamped, Stream, TransformStream, serialised
 from demoplan.pipeline.datasets import open_dataset
+from demoplan.stages.align import align
 
 ROOT = Path(__file__).resolve().parents[1]
 RECORDED = ROOT / "datasets" / "cube-stacking"
@@ -48,8 +50,6 @@ class Side:
 
 def sides() -> dict[str, list[Side]]:
     """Hand → its shipped recordings, on the world's clock, from the tables that demoplan makes of them."""
-    from demoplan.stages.align import align
-
     opened = open_dataset(RECORDED)
     found: dict[str, list[Side]] = {"Left_hand": [], "Right_hand": []}
     for episode in opened.dataset.episodes:
@@ -125,7 +125,7 @@ def streams_of(recorded: dict[str, list[Side]], seed: int, index: int) -> list[S
 
 
 def _posed(side: Side, rng: np.random.Generator, offset_y: float, n: int):
-    """One side's motion, slowed to the episode's length, elsewhere on the table, with noise: 6 digits each."""
+    """One side's motion, slowed to the episode's length, elsewhere on the table, with noise."""
     length = side.position_xyz_m.shape[1]
     pace = np.interp(np.linspace(0, 1, n), np.linspace(0, 1, 7), rng.uniform(0.7, 1.3, 7))
     at = np.cumsum(pace)
@@ -195,8 +195,6 @@ _DEFINITIONS: dict[str, str] = {}
 
 
 def _definition(name: str) -> str:
-    from rosbags.typesys import Stores, get_typestore
-
     if name not in _DEFINITIONS:
         _DEFINITIONS[name] = get_typestore(Stores.ROS2_HUMBLE).generate_msgdef(name, ros_version=2)[0]
     return _DEFINITIONS[name]
@@ -259,7 +257,8 @@ def write_dataset(folder: Path, n_episodes: int, name: str) -> Path:
         entity = f"{hand.title()}_hand"
         lines.append(f"    /hand/{hand}/pose: {{kind: pose, entity: {entity}}}")
         lines.append(
-            f"    /hand/{hand}/joy: {{kind: grip, entity: {entity}, field: 'axes[0]', open_at: 0.0, closed_at: 1.0}}"
+            f"    /hand/{hand}/joy: {{kind: grip, entity: {entity}, field: 'axes[0]', open_at: 0.0, "
+            "closed_at: 1.0}"
         )
     lines.append("episodes:")
     lines += [
