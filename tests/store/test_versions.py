@@ -5,7 +5,7 @@ import json
 import polars as pl
 import pyarrow.parquet as pq
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from demoplan.errors import StoreError
@@ -138,6 +138,7 @@ TOY = {
 }
 
 
+@settings(deadline=None)
 @given(widths=st.lists(st.integers(0, 1000), max_size=20), stop=st.integers(1, 4))
 def test_migrating_step_by_step_or_at_once_is_the_same_and_changes_nothing_given(widths, stop):
     first = pl.DataFrame(

@@ -159,16 +159,28 @@ class DomainStore:
     def latest(self, name: str) -> DomainVersion | None:
         """The version that the latest evidence of that name gave."""
         history = self.history(name)
-        return self._published(name, history[-1]) if history else None
+        return self.published(name, history[-1]) if history else None
+
+    def names(self) -> list[str]:
+        """Every name that has a version, sorted."""
+        return sorted({path.parts[1] for path in self._metadata()})
+
+    def published(self, name: str, publication: Publication) -> DomainVersion:
+        """The version of a line of a name's history, with the evidence that it had then."""
+        folder = f"{self.folder}/{name}/{publication.domain_id}"
+        first = self._read(folder)
+        if first.snapshot == publication.snapshot:
+            return first
+        return self._read(f"{folder}/{publication.snapshot[:_EVIDENCE_DIGITS]}")
 
     def versions(self) -> list[DomainVersion]:
         """Every version, by name, each where its history first names it; the evidence is its latest."""
         found = []
-        for name in sorted({path.parts[1] for path in self._metadata()}):
+        for name in self.names():
             latest: dict[str, Publication] = {}
             for each in self.history(name):
                 latest[each.domain_id] = each
-            found += [self._published(name, each) for each in latest.values()]
+            found += [self.published(name, each) for each in latest.values()]
         return found
 
     def find(self, asked: str) -> DomainVersion:
@@ -250,13 +262,6 @@ class DomainStore:
     def _publication(self, name: str, domain_id: str) -> Publication:
         version = self._read(f"{self.folder}/{name}/{domain_id}")
         return Publication(domain_id=version.domain_id, snapshot=version.snapshot, made_at_ns=0)
-
-    def _published(self, name: str, publication: Publication) -> DomainVersion:
-        folder = f"{self.folder}/{name}/{publication.domain_id}"
-        first = self._read(folder)
-        if first.snapshot == publication.snapshot:
-            return first
-        return self._read(f"{folder}/{publication.snapshot[:_EVIDENCE_DIGITS]}")
 
     def _parsed(self, name: str, data: bytes | None) -> list[Publication]:
         try:

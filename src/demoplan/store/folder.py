@@ -191,7 +191,10 @@ class Folder(Place):
             if is_outermost:
                 with self._mutex:
                     pending, self._pending = self._pending or set(), None
-                _flush_all(self.root, pending)
+                try:
+                    _flush_all(self.root, pending)
+                except OSError as error:
+                    raise StoreError(f"cannot write into {self.root}: {error.strerror or error}") from error
 
     @contextlib.contextmanager
     def _reading(self, name: str) -> Iterator[None]:

@@ -14,6 +14,9 @@ from demoplan.store.places import SET_ASIDE, AbsentError
 from demoplan.store.records import stage_key
 from demoplan.store.store import SWEEP, Store
 
+REASONS = f"{SET_ASIDE}/reasons.jsonl"
+"""What was set aside, where it is now, and why: one line each."""
+
 LEFTOVER_AGE_S = 3600.0
 """A file that is being written is taken for left over by a killed process after this time [s]."""
 
@@ -235,7 +238,7 @@ def repair(
             elif fault.kind == "leftover":
                 done.append(_remove_leftover(store, fault, names, leftover_age_s, now_s))
             elif names:  # a folder with two faults is moved once
-                target = _set_aside(store, fault.path, names)
+                target = _set_aside(store, fault.path, names, fault.detail)
                 done.append(Repair(fault.path, "set aside", f"{fault.detail}; now {target}"))
                 if fault.path == store.manifest.name:
                     done.append(_restore_manifest(store))
@@ -261,14 +264,16 @@ def _remove_leftover(
     return Repair(fault.path, "removed", fault.detail)
 
 
-def _set_aside(store: Store, name: str, names: list[str]) -> str:
-    """Move a file or folder below ``damaged/``, beside what was moved there before under the same name."""
+def _set_aside(store: Store, name: str, names: list[str], reason: str) -> str:
+    """Move a file or folder below ``damaged/``, beside what was moved there before, and note the reason."""
     target, number = f"{SET_ASIDE}/{name}", 1
     while _names_of(store, target):
         number += 1
         target = f"{SET_ASIDE}/{name}.{number}"
     for each in names:
         store.place.move(each, target + each.removeprefix(name))
+    told = {"was": name, "is": target, "reason": reason, "at_ns": time.time_ns()}
+    store.place.add_line(REASONS, (json.dumps(told, sort_keys=True) + "\n").encode())
     return target
 
 
