@@ -71,6 +71,17 @@ def test_two_hands_work_at_the_same_time(run):
     assert reaches["start_ns"][1] < reaches["end_ns"][0]
 
 
+def test_a_hand_that_is_through_goes_out_of_the_way_while_the_other_works(run):
+    steps = run(TOWER, hands=("Left_hand", "Right_hand")).steps
+    (retired,) = steps.filter(pl.col("operator") == "retire").iter_rows(named=True)
+    assert retired["state"] == "succeeded"
+    own = steps.filter((pl.col("hand") == retired["hand"]) & (pl.col("operator") != "retire"))
+    others = steps.filter(pl.col("hand") != retired["hand"])
+    assert retired["start_ns"] >= own["end_ns"].max()
+    assert retired["start_ns"] < others["end_ns"].max()
+    assert not run(TOWER).steps.filter(pl.col("operator") == "retire").height
+
+
 def test_in_the_end_hands_are_empty(run, new_session, four_cubes):
     session = new_session(four_cubes, hands=("Left_hand", "Right_hand"))
     run(TOWER, session=session)

@@ -98,6 +98,16 @@ class Course:
         hand, motion = motion_of(step, self.domain, self._skills)
         return Bound(operator, hand, motion)
 
+    def is_through(self, hand: str) -> bool:
+        """Whether a hand has finished with an object: its next step, if it has one, begins with a reach."""
+        left = [self.bound(index) for index in range(self.n_steps) if index not in self.ended]
+        own = [bound for bound in left if bound.hand == hand]
+        return not own or own[0].motion.skill == "reach"
+
+    def hands_with_steps(self) -> frozenset[str]:
+        """Hands that have something to do yet."""
+        return frozenset(self.bound(index).hand for index in range(self.n_steps) if index not in self.ended)
+
     def lasting_state(self, sensed: SensedState) -> SensedState:
         """What lasts of what is sensed."""
         kept = self._momentary.lasting_state(sensed.held, self._type_of, self.domain.types)
@@ -117,6 +127,7 @@ class Course:
             self.lasting[int(str(row["step_index"]))]
             for row in rows
             if row["end_ns"] is not None
+            and int(str(row["step_index"])) < self.n_steps
             and int(str(row["end_ns"])) >= running.start_ns
             and row is not running.row
         ]

@@ -156,11 +156,12 @@ class Executor:
                 raise RunEnded("stopped", "whoever started it has seen enough")
             for index in self._course.ready():
                 bound = self._course.bound(index)
-                if bound.hand not in running:
+                if bound.hand not in running and bound.hand not in self.hands.retiring:
                     self._begin(index, bound)
-            if not running:
+            if not running and not self.hands.retiring:
                 continue
             self.hands.advance(self.params.poll_s)
+            self.hands.note_retired()
             for hand in sorted(running):
                 report = self.session.report(hand)
                 if report is not None and report.state == "running":
@@ -174,6 +175,7 @@ class Executor:
         """All steps have ended: is the goal what is sensed?"""
         if self._course.refusal:
             raise RunEnded("no_plan", self._course.refusal)
+        self.hands.await_retired()
         if self.params.monitor == "full":
             lacking = self._course.lacking_at_end(self.senses.look())
             if lacking:
@@ -246,6 +248,21 @@ class Executor:
             self._check_effects(running, report, is_well=is_well)
         del self._course.running[running.bound.hand]
         self._course.ended.add(running.index)
+        self._retire(running.bound.hand)
+
+    def _retire(self, hand: str) -> None:
+        """A hand that is through goes out of the way: where it let go, others may have to go next."""
+        is_begun_next = any(self._course.bound(index).hand == hand for index in self._course.ready())
+        if is_begun_next or not self._course.is_through(hand):
+            return
+        if not self._course.hands_with_steps() - {hand}:
+            return
+        held = self.senses.look().held
+        if any(each.predicate == self.params.holding and each.arguments[0] == hand for each in held):
+            return
+        row = self._row_beside()
+        row |= {"operator": "retire", "arguments": [hand], "hand": hand, "activity": "Idle"}
+        self.hands.retire(hand, row)
 
     def _check_effects(self, running: Running, report: MotionReport | None, *, is_well: bool) -> None:
         """Hold a step against what is sensed after it; more than the robot's own word, the world counts."""

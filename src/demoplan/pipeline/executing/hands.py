@@ -4,6 +4,7 @@ from demoplan.engines.mujoco.session import Motion, MotionReport, Session
 from demoplan.pipeline.executing.course import Course
 from demoplan.pipeline.executing.endings import RunEnded
 from demoplan.pipeline.executing.params import ExecuteParams
+from demoplan.pipeline.executing.rows import Row
 from demoplan.pipeline.injecting import Injector
 
 
@@ -13,6 +14,7 @@ class Hands:
     def __init__(self, session: Session, injector: Injector, params: ExecuteParams) -> None:
         """All hands rest."""
         self.session, self._injector, self._params = session, injector, params
+        self._retiring: dict[str, tuple[int, Row]] = {}
 
     def advance(self, duration_s: float) -> None:
         """Let time pass, and let happen what is due."""
@@ -40,6 +42,38 @@ class Hands:
             report = self.session.report(hand) or report
         return report
 
+    @property
+    def retiring(self) -> frozenset[str]:
+        """Hands that are on their way out of the way of others."""
+        return frozenset(self._retiring)
+
+    def retire(self, hand: str, row: Row) -> None:
+        """Send a hand to rest; time goes on meanwhile."""
+        self._retiring[hand] = self.session.time_ns, row
+        row |= {"state": "executing", "start_ns": self.session.time_ns}
+        self.session.start(hand, Motion(activity="Idle", skill="rest"))
+
+    def note_retired(self) -> None:
+        """Write down which hands have come to rest; one that takes too long stays where it is."""
+        for hand, (start_ns, row) in sorted(self._retiring.items()):
+            report = self.session.report(hand)
+            if report is not None and report.state == "running":
+                if not self.is_late(start_ns):
+                    continue
+                self.session.cancel(hand)
+                report = self.session.report(hand)
+            is_well = report is not None and report.state == "succeeded"
+            row |= {"state": "succeeded" if is_well else "failed", "end_ns": self.session.time_ns}
+            row["cause"] = None if report is None else report.reason
+            del self._retiring[hand]
+
+    def await_retired(self) -> None:
+        """Let hands that are going to rest get there."""
+        self.note_retired()
+        while self._retiring:
+            self.session.advance(self._params.poll_s)
+            self.note_retired()
+
     def stop(self, course: Course) -> None:
         """Let motions that are under way come to their end: a hand that stops midway helps nobody."""
         for hand, running in sorted(course.running.items()):
@@ -56,4 +90,5 @@ class Hands:
                     "end_ns": self.session.time_ns,
                 }
         course.running.clear()
+        self.await_retired()
         self.session.advance(self._params.lag_s)
