@@ -12,9 +12,12 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
+from demoplan.engines.mujoco.robots.fingers import FingerParams, add_pads
 from demoplan.geometry import Array
 
 SIDES = ("Left_hand", "Right_hand")
+
+_PALM_HALF_SIZE_M = (0.030, 0.045, 0.010)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,35 +56,14 @@ def add_hand(
     palm.add_geom(
         name=f"{name}:palm",
         type=mujoco.mjtGeom.mjGEOM_BOX,
-        size=[0.030, 0.045, 0.010],
+        size=list(_PALM_HALF_SIZE_M),
         mass=params.palm_mass_kg,
         rgba=[0.85, 0.70, 0.60, 1.0],
     )
-    tip = params.grasp_point_m + params.finger_reach_m
-    half_length = (tip - 0.010) / 2
-    for finger, sign in (("left", 1.0), ("right", -1.0)):
-        body = palm.add_body(name=f"{name}:{finger}", gravcomp=1.0)
-        body.add_joint(
-            name=f"{name}:{finger}",
-            type=mujoco.mjtJoint.mjJNT_SLIDE,
-            axis=[0.0, sign, 0.0],
-            range=[0.0, params.widest_opening_m / 2],
-            limited=mujoco.mjtLimited.mjLIMITED_TRUE,
-        )
-        body.add_geom(
-            name=f"{name}:{finger}",
-            type=mujoco.mjtGeom.mjGEOM_BOX,
-            size=[params.pad_width_m / 2, params.pad_thickness_m / 2, half_length],
-            pos=[0.0, sign * params.pad_thickness_m / 2, -(tip - half_length)],
-            mass=params.finger_mass_kg,
-            condim=4,
-            friction=[params.pad_friction, 0.02, 0.0005],
-            solref=[0.006, 1.0],
-            rgba=[0.80, 0.62, 0.52, 1.0],
-        )
-        actuator = spec.add_actuator(
-            name=f"{name}:{finger}", trntype=mujoco.mjtTrn.mjTRN_JOINT, target=f"{name}:{finger}"
-        )
+    for joint, pad in add_pads(spec, palm, name, _fingers(params)):
+        pad.solref = [0.006, 1.0]
+        pad.rgba = [0.80, 0.62, 0.52, 1.0]
+        actuator = spec.add_actuator(name=joint.name, trntype=mujoco.mjtTrn.mjTRN_JOINT, target=joint.name)
         actuator.set_to_position(kp=900.0, kv=18.0)
         actuator.forcelimited = mujoco.mjtLimited.mjLIMITED_TRUE
         actuator.forcerange = [-params.grip_force_n, params.grip_force_n]
@@ -95,10 +77,19 @@ def add_hand(
     )
     # anchor (3), pose of the second body in the first (3 + 4, w first), and the weight of torques
     weld.data[:11] = [0, 0, 0, 0, 0, 0, 1, 0, 0, 0, 0.5]
-    # Fingers and palm of one hand never collide with each other.
-    for first, second in (("palm", "left"), ("palm", "right"), ("left", "right")):
-        one = name if first == "palm" else f"{name}:{first}"
-        spec.add_exclude(bodyname1=one, bodyname2=f"{name}:{second}")
+
+
+def _fingers(params: HandParams) -> FingerParams:
+    return FingerParams(
+        grasp_point_m=params.grasp_point_m,
+        finger_reach_m=params.finger_reach_m,
+        palm_half_height_m=_PALM_HALF_SIZE_M[2],
+        pad_width_m=params.pad_width_m,
+        pad_thickness_m=params.pad_thickness_m,
+        widest_opening_m=params.widest_opening_m,
+        pad_friction=params.pad_friction,
+        finger_mass_kg=params.finger_mass_kg,
+    )
 
 
 class Hand:

@@ -31,36 +31,51 @@ class FingerParams:
     finger_mass_kg: float = 0.04
 
 
-def add_fingers(spec: mujoco.MjSpec, palm: mujoco.MjsBody, name: str, params: FingerParams) -> None:
-    """Two fingers on a palm, which point along its -z and open along its y.
+def add_pads(
+    spec: mujoco.MjSpec, palm: mujoco.MjsBody, name: str, params: FingerParams
+) -> list[tuple[mujoco.MjsJoint, mujoco.MjsGeom]]:
+    """Two padded fingers on a palm, which point along its -z and open along its y; nothing drives them yet.
 
-    Bodies, joints and geoms are named ``<name>:left`` and ``<name>:right``, the actuator ``<name>:grip``.
+    Bodies, joints and geoms are named ``<name>:left`` and ``<name>:right``. Fingers and palm never collide.
+
+    Returns:
+        Joint and pad of each finger.
     """
     tip = params.grasp_point_m + params.finger_reach_m
     half_length = (tip - params.palm_half_height_m) / 2
+    pairs = []
     for finger, sign in (("left", 1.0), ("right", -1.0)):
         body = palm.add_body(name=f"{name}:{finger}", gravcomp=1.0)
-        body.add_joint(
+        joint = body.add_joint(
             name=f"{name}:{finger}",
             type=mujoco.mjtJoint.mjJNT_SLIDE,
             axis=[0.0, sign, 0.0],
             range=[0.0, params.widest_opening_m / 2],
             limited=mujoco.mjtLimited.mjLIMITED_TRUE,
-            damping=2.0,
-            armature=0.05,
         )
-        body.add_geom(
+        pad = body.add_geom(
             name=f"{name}:{finger}",
             type=mujoco.mjtGeom.mjGEOM_BOX,
             size=[params.pad_width_m / 2, params.pad_thickness_m / 2, half_length],
             pos=[0.0, sign * params.pad_thickness_m / 2, -(tip - half_length)],
             mass=params.finger_mass_kg,
             condim=4,
-            # The pads' friction counts, not the larger of theirs and the object's: else nothing could slip.
-            priority=1,
             friction=[params.pad_friction, 0.02, 0.0005],
-            rgba=[0.16, 0.17, 0.19, 1.0],
         )
+        pairs.append((joint, pad))
+    for first, second in ((palm.name, f"{name}:left"), (palm.name, f"{name}:right")):
+        spec.add_exclude(bodyname1=first, bodyname2=second)
+    spec.add_exclude(bodyname1=f"{name}:left", bodyname2=f"{name}:right")
+    return pairs
+
+
+def add_fingers(spec: mujoco.MjSpec, palm: mujoco.MjsBody, name: str, params: FingerParams) -> None:
+    """Two fingers that a mechanism moves as one; its actuator is ``<name>:grip``."""
+    for joint, pad in add_pads(spec, palm, name, params):
+        joint.damping, joint.armature = 2.0, 0.05
+        # The pads' friction counts, not the larger of theirs and the object's: else nothing could slip.
+        pad.priority = 1
+        pad.rgba = [0.16, 0.17, 0.19, 1.0]
     # The mechanism: one finger mirrors the other, so that what is held does not drift sideways.
     spec.add_equality(
         name=f"{name}:mirror",
@@ -76,9 +91,6 @@ def add_fingers(spec: mujoco.MjSpec, palm: mujoco.MjsBody, name: str, params: Fi
     actuator.set_to_position(kp=1500.0, kv=30.0)
     actuator.forcelimited = mujoco.mjtLimited.mjLIMITED_TRUE
     actuator.forcerange = [-params.grip_force_n, params.grip_force_n]
-    for first, second in ((palm.name, f"{name}:left"), (palm.name, f"{name}:right")):
-        spec.add_exclude(bodyname1=first, bodyname2=second)
-    spec.add_exclude(bodyname1=f"{name}:left", bodyname2=f"{name}:right")
 
 
 class Fingers:
