@@ -4,6 +4,13 @@ An operator that was learned from watching states everything that was so around 
 hand was moving, and where to. Such inputs of a classifier last as long as the motion does. A planner may
 chain them, since they tell in which order activities follow. Nobody can demand them of a world that stands
 still between two motions, or plan from them after one has failed: there only what lasts counts.
+
+One flaw of such operators is mended here for whoever executes, and stands in the learned domain itself: that
+an object is within a hand's grasp ends when the hand turns to another, and no operator says so, since an
+operator speaks only of the objects that its activity is about. A plan made with the learned text alone may so
+come back to an object that the hand has left. The mend is the usual compilation of "of one object at a time"
+into one more predicate (:meth:`Momentary.one_thing_at_a_time`). It is put in when plans are made, sensed
+never, and shown in no domain that is kept: evidence counts what was observed, and this was not.
 """
 
 from dataclasses import dataclass, replace
