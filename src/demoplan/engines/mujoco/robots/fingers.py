@@ -72,7 +72,7 @@ def add_pads(
 def add_fingers(spec: mujoco.MjSpec, palm: mujoco.MjsBody, name: str, params: FingerParams) -> None:
     """Two fingers that a mechanism moves as one; its actuator is ``<name>:grip``."""
     for joint, pad in add_pads(spec, palm, name, params):
-        joint.damping, joint.armature = 2.0, 0.05
+        joint.damping, joint.armature = [2.0, 0.0, 0.0], 0.05
         # The pads' friction counts, not the larger of theirs and the object's: else nothing could slip.
         pad.priority = 1
         pad.rgba = [0.16, 0.17, 0.19, 1.0]
