@@ -61,3 +61,15 @@ def test_a_goal_that_has_no_plan_is_an_answer_and_no_error(port):
     reply = call(port, PLAN, goal="onTop(cube_red, cube_blue) & onTop(cube_blue, cube_red)")
     assert reply["result"] is True
     assert reply["values"]["outcome"] == "no_plan"
+
+
+def test_a_client_that_goes_away_while_the_robot_moves_leaves_it_to_finish_and_disturbs_nobody(port):
+    goal = "onTop(cube_red, cube_blue)"
+    assert call(port, RESET)["values"]["success"] is True
+    client = connect(f"ws://127.0.0.1:{port}")
+    message = {"op": "call_service", "id": "1", "service": EXECUTE, "args": {"goal": goal}}
+    client.send(json.dumps(message))
+    # Gone without a word, in the middle of the call.
+    client.socket.close()
+    planned = call(port, PLAN, goal=goal)["values"]
+    assert (planned["outcome"], planned["steps"]) == ("solved", []), "the goal holds: the robot went on alone"
