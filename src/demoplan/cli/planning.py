@@ -63,7 +63,7 @@ def plan(
 ) -> None:
     """Plan from a state to a goal; without a plan, say what is missing. Exit code 1 if there is no plan."""
     from demoplan.engines.fast_downward import SolveParams
-    from demoplan.pipeline.learning import stored_domain
+    from demoplan.pipeline.learning import exclusive_groups_of, stored_domain
     from demoplan.pipeline.planning import make_plan, problem_of, start_of
 
     opened = existing_store(store)
@@ -77,7 +77,13 @@ def plan(
         start = with_hands_of(start, session, learned.domain)
     problem = problem_of(learned.domain, start, goal)
     params = SolveParams(wall_s=time_limit, memory_bytes=memory_limit * 2**20)
-    answer = make_plan(learned.domain, problem, params, is_widening=most_frequent)
+    answer = make_plan(
+        learned.domain,
+        problem,
+        params,
+        is_widening=most_frequent,
+        groups=exclusive_groups_of(learned),
+    )
     out_of_reach = None
     if robot is not None and answer.plan is not None:
         out_of_reach = reach_of_plan(answer.plan, learned.domain, session)

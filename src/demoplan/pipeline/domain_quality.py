@@ -5,24 +5,20 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import polars as pl
-
 from demoplan.engines.fast_downward import SolveParams, solve
 from demoplan.errors import UsageError
 from demoplan.language.domains import Domain, Plan, Problem, Step
 from demoplan.language.execution import execute
-from demoplan.language.invariants import ExclusiveGroup, parse_group
 from demoplan.language.lint import LintFinding, lint
 from demoplan.language.pddl.symbols import domain_symbols, problem_symbols
 from demoplan.language.possibility import impossibility
-from demoplan.pipeline.learning import Learned
+from demoplan.pipeline.learning import Learned, exclusive_groups_of
 from demoplan.pipeline.planning import problem_of, start_of
 from demoplan.store import Store
 
 EXPECTATIONS = ("valid", "invalid", "solvable", "unsolvable")
 _DIRECTIVE = re.compile(r";\s*(start|goal|expect)\s*:\s*(.+?)\s*")
 _STEP = re.compile(r"\(\s*([^\s()]+)((?:\s+[^\s()]+)*)\s*\)|([^\s();]+)\(([^()]*)\)")
-_GROUP = re.compile(r"(.+) for # (.+)")
 
 
 def lint_domain(learned: Learned, store: Store, start: str | None = None) -> tuple[LintFinding, ...]:
@@ -42,16 +38,6 @@ def lint_domain(learned: Learned, store: Store, start: str | None = None) -> tup
         start=state.atoms,
         objects=sorted(state.objects.items()),
     )
-
-
-def exclusive_groups_of(learned: Learned) -> tuple[tuple[ExclusiveGroup, str], ...]:
-    """The groups that demonstrations showed, each with the type of object that it holds for."""
-    found = []
-    for subject in learned.findings.filter(pl.col("kind") == "exclusion")["subject"]:
-        match = _GROUP.fullmatch(subject)
-        if match is not None:
-            found.append((parse_group(match[1]), match[2]))
-    return tuple(found)
 
 
 @dataclass(frozen=True, kw_only=True)

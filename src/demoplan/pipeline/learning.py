@@ -1,14 +1,17 @@
 """Transitions to domain versions, over the store."""
 
+import re
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 
 import dataframely as dy
+import polars as pl
 
 from demoplan.errors import UsageError
 from demoplan.ids import content_hash
 from demoplan.language.diff import Change, diff
 from demoplan.language.domains import Domain
+from demoplan.language.invariants import ExclusiveGroup, parse_group
 from demoplan.language.pddl import domain_id, parse_domain, render_domain
 from demoplan.language.vocabulary import Vocabulary
 from demoplan.pipeline.activities import tables_of
@@ -19,6 +22,8 @@ from demoplan.store import DomainVersion, EpisodeState, Store
 from demoplan.store.code_version import code_version
 from demoplan.store.store import StageOutput, canonical_json
 from demoplan.tables import Evidence, Findings, Literals, Operators, Transitions
+
+_GROUP = re.compile(r"(.+) for # (.+)")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -143,3 +148,13 @@ def latest_evidence(store: Store, name: str) -> dy.DataFrame[Evidence] | None:
 def changes_between(old: Learned, new: Learned) -> tuple[Change, ...]:
     """What changed from one version to another: operators, literals, and the counts behind them."""
     return diff(old.domain, new.domain, support_of(old.literals), support_of(new.literals))
+
+
+def exclusive_groups_of(learned: Learned) -> tuple[tuple[ExclusiveGroup, str], ...]:
+    """The groups that demonstrations showed, each with the type of object that it holds for."""
+    found = []
+    for subject in learned.findings.filter(pl.col("kind") == "exclusion")["subject"]:
+        match = _GROUP.fullmatch(subject)
+        if match is not None:
+            found.append((parse_group(match[1]), match[2]))
+    return tuple(found)

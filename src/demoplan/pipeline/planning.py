@@ -2,7 +2,7 @@
 
 import json
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,9 +14,11 @@ from demoplan.errors import DataError, PddlError, UnknownNameError, UsageError
 from demoplan.language.atoms import Atom
 from demoplan.language.domains import Domain, Plan, Problem
 from demoplan.language.goals import parse_goal
+from demoplan.language.invariants import ExclusiveGroup
 from demoplan.language.pddl import parse_problem
 from demoplan.language.possibility import impossibility
 from demoplan.stages.ask import ask, state_at
+from demoplan.stages.missing import MissingDemonstration, imagine, read_missing
 from demoplan.stages.repair import describe
 from demoplan.store import Store
 from demoplan.tables import Facts, Plans, Transitions
@@ -129,20 +131,50 @@ class Answer:
     """Without a plan: what is missing, and what to demonstrate next."""
 
 
-def make_plan(domain: Domain, problem: Problem, params: SolveParams, *, is_widening: bool) -> Answer:
-    """Plan; without a plan, find the smallest change of the start that would give one.
+def missing_demonstrations(
+    domain: Domain,
+    problem: Problem,
+    params: SolveParams,
+    groups: Sequence[tuple[ExclusiveGroup, str]] = (),
+) -> tuple[MissingDemonstration, ...]:
+    """The fewest demonstrations, of what is near to what was shown, that would give a plan; maybe none.
+
+    Args:
+        domain: What the problem could not be solved with.
+        problem: Start and goal.
+        params: Limits.
+        groups: Atoms that demonstrations showed to exclude each other.
+    """
+    attempt = solve(imagine(domain, problem, groups), problem, params)
+    if attempt.plan is None or not attempt.is_validated:
+        return ()
+    return read_missing(attempt.plan, domain)
+
+
+def make_plan(
+    domain: Domain,
+    problem: Problem,
+    params: SolveParams,
+    *,
+    is_widening: bool,
+    groups: Sequence[tuple[ExclusiveGroup, str]] = (),
+) -> Answer:
+    """Plan; without a plan, say which demonstration, or which change of the start, would give one.
 
     Args:
         domain: What may be done.
         problem: Start and goal.
         params: Limits of each planning attempt.
         is_widening: Begin with the operators that were shown most often.
+        groups: Atoms that demonstrations showed to exclude each other, to imagine what was not shown.
     """
     attempts = solve_widening(domain, problem, params) if is_widening else (solve(domain, problem, params),)
     last = attempts[-1]
     missing = None
     if last.outcome == "unsolvable":
-        missing = describe(diagnose(domain, problem, params), domain)
+        lacking = missing_demonstrations(domain, problem, params, groups)
+        lines = [f"needed is {each}" for each in lacking]
+        missing = "\n".join([*lines, describe(diagnose(domain, problem, params), domain)])
     return Answer(
         rows=plan_rows(attempts),
         plan=last.plan if last.is_validated else None,

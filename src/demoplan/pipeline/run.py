@@ -28,6 +28,7 @@ from demoplan.pipeline.learning import Learned
 from demoplan.pipeline.reporting import Progress, silent
 from demoplan.pipeline.segment_stages import ChosenSegmenter
 from demoplan.pipeline.study import COMBINED, Tried, learn_all, try_goals
+from demoplan.stages.missing import rank_missing
 from demoplan.stages.score import confusion, majority_activities, score_segmentation
 from demoplan.stages.score_plans import score_plans
 from demoplan.stages.segment import RULE_ACTIVITIES, Segmenter, TrainParams
@@ -253,6 +254,13 @@ def _report(
         for part in parts
         for t in part.tried
         if t.trial.cause is not None
+    ]
+    lacking = rank_missing({tried.goal.name: tried.missing for tried in main.tried if tried.missing})
+    failures += [
+        Failure(
+            kind="missing knowledge", subject=str(each), cause=f"would give a plan for {', '.join(opened)}"
+        )
+        for each, opened in lacking
     ]
     return render_report(
         ReportContent(

@@ -15,8 +15,9 @@ from demoplan.language.pddl import domain_id, problem_id
 from demoplan.language.possibility import impossibility
 from demoplan.manifests.dataset import Goal
 from demoplan.pipeline.datasets import OpenDataset
-from demoplan.pipeline.learning import Learned, learn_domain
-from demoplan.pipeline.planning import problem_of, start_of, start_of_episode
+from demoplan.pipeline.learning import Learned, exclusive_groups_of, learn_domain
+from demoplan.pipeline.planning import missing_demonstrations, problem_of, start_of, start_of_episode
+from demoplan.stages.missing import MissingDemonstration
 from demoplan.stages.score_plans import Trial
 from demoplan.store import EpisodeState, Store
 from demoplan.store.code_version import code_version
@@ -34,6 +35,8 @@ class Tried:
     learned: Learned
     goal: Goal
     plans: dy.DataFrame[Plans]
+    missing: tuple[MissingDemonstration, ...] = ()
+    """Demonstrations that would give a plan, for the combined domain where it has none."""
 
 
 def learn_all(
@@ -101,7 +104,10 @@ def try_goals(
         group = f"{prefix}combined domain" if name == COMBINED else f"{prefix}single domains"
         on_done(f"{name}: {goal.name}")
         trial = Trial(group=group, domain=name, goal=goal.name, is_solved=cause is None, cause=cause)
-        return Tried(trial=trial, learned=domain, goal=goal, plans=plans)
+        missing: tuple[MissingDemonstration, ...] = ()
+        if name == COMBINED and plans.item(plans.height - 1, "outcome") == "unsolvable":
+            missing = missing_demonstrations(domain.domain, problem, params, exclusive_groups_of(domain))
+        return Tried(trial=trial, learned=domain, goal=goal, plans=plans, missing=missing)
 
     # Threads are enough: the planner is a program of its own.
     with ThreadPoolExecutor(max(1, n_workers)) as pool:
