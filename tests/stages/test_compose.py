@@ -2,8 +2,9 @@ import polars as pl
 
 from demoplan.language.atoms import Literal
 from demoplan.language.domains import Parameter, Signature
+from demoplan.language.pddl import parse_domain, render_domain
 from demoplan.language.types import TypeHierarchy
-from demoplan.stages.compose import compose, support_of
+from demoplan.stages.compose import compose, pruned, support_of
 from demoplan.tables import Literals, Operators
 
 TYPES = TypeHierarchy.of({"Hand": "object"})
@@ -57,3 +58,16 @@ def test_counts_of_stated_literals_can_be_looked_up():
         [], [literal("go_1", "effect", "p", is_positive=False), literal("go_1", "effect", "q", is_kept=False)]
     )
     assert support_of(literals) == {("go_1", "effect", "not p(?hand)"): (3, 0)}
+
+
+def test_predicates_that_no_operator_speaks_of_are_pruned_and_the_operators_stay():
+    domain = parse_domain(
+        "(define (domain d) (:requirements :strips :typing :negative-preconditions) (:types cube - object)"
+        " (:predicates (on ?x ?y - cube) (upright ?x - cube) (hot ?x - cube) (inside ?x ?y - cube))"
+        " (:action tip :parameters (?x - cube) :precondition (and (not (hot ?x)))"
+        " :effect (and (not (upright ?x)))))"
+    )
+    smaller = pruned(domain)
+    assert [each.name for each in smaller.predicates] == ["hot", "upright"]
+    assert smaller.operators == domain.operators
+    assert parse_domain(render_domain(smaller)) == smaller

@@ -64,15 +64,22 @@ def show(
     evidence: Annotated[
         bool, typer.Option("--evidence", help="The literals with their support, and where it can be seen.")
     ] = False,
+    is_pruned: Annotated[
+        bool, typer.Option("--pruned", help="Leave out the predicates that no operator speaks of.")
+    ] = False,
     store: StoreOption = DEFAULT_STORE,
     as_json: JsonOption = False,
 ) -> None:
     """Print a domain's PDDL text, or the evidence behind each literal of it."""
-    from dataclasses import asdict
+    from dataclasses import asdict, replace
 
+    from demoplan.language.pddl import render_domain
     from demoplan.pipeline.learning import stored_domain
+    from demoplan.stages.compose import pruned
 
     learned = stored_domain(existing_store(store), domain)
+    if is_pruned:
+        learned = replace(learned, text=render_domain(pruned(learned.domain)))
     if as_json:
         print_json(
             {

@@ -1,6 +1,7 @@
 """Operators and literals to a domain: what a planner may do."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import dataframely as dy
 import polars as pl
@@ -57,3 +58,18 @@ def compose(
         for row in operators.filter(~pl.col("is_quarantined")).sort("operator").iter_rows(named=True)
     )
     return Domain(name=name, types=types, predicates=tuple(sorted(predicates)), operators=composed)
+
+
+def pruned(domain: Domain) -> Domain:
+    """The domain without the predicates that no operator speaks of.
+
+    A vocabulary may have many more predicates than one task needs. What is pruned can be read and published;
+    planning keeps to the whole, since states hold atoms of every predicate.
+    """
+    used = {
+        each.atom.predicate
+        for operator in domain.operators
+        for each in (*operator.preconditions, *operator.effects)
+    }
+    kept = tuple(signature for signature in domain.predicates if signature.name in used)
+    return replace(domain, predicates=kept)
