@@ -302,3 +302,43 @@ def test_the_light_robot_says_what_it_cannot_reach():
     session = opened(3)
     assert session.can_reach(RIGHT, (0.1, 0.1, 0.3)) is None
     assert "outside" in session.can_reach(RIGHT, (0.1, 0.1, 1.5))
+
+
+@pytest.mark.parametrize(
+    ("kind", "size"),
+    [
+        ("box", (0.035, 0.035, 0.035)),
+        ("box", (0.060, 0.060, 0.060)),
+        ("box", (0.110, 0.045, 0.040)),
+        ("cylinder", (0.050, 0.050, 0.090)),
+        ("sphere", (0.050, 0.050, 0.050)),
+    ],
+)
+def test_objects_of_every_kind_are_grasped_and_lifted_by_friction(stacker, kind, size):
+    thing = ObjectSpec(name="thing", kind=kind, size_xyz_m=size, position_xyz_m=(0.05, 0.0, size[2] / 2))
+    session = open_session(SceneSpec(objects=(thing,)), seed=1)
+    session.advance(0.2)
+    for skill in ("reach", "grasp", "lift"):
+        report = stacker.run(session, RIGHT, Motion(activity=skill, skill=skill, object="thing"))
+        assert report.state == "succeeded", report.reason
+    assert place_of(session, "thing")[2] > size[2] / 2 + 0.05
+    assert report.n_collisions == 0
+
+
+def test_a_lying_cylinder_is_taken_across_and_put_elsewhere_on_the_table(stacker):
+    lying = (float(np.sqrt(0.5)), 0.0, float(np.sqrt(0.5)), 0.0)
+    rod = ObjectSpec(
+        name="rod",
+        kind="cylinder",
+        size_xyz_m=(0.03, 0.03, 0.10),
+        position_xyz_m=(0.0, 0.0, 0.015),
+        orientation_wxyz=lying,
+    )
+    post = ObjectSpec(name="post", position_xyz_m=(0.0, 0.2, 0.025))
+    session = open_session(SceneSpec(objects=(rod, post)), seed=1)
+    session.advance(0.2)
+    for motion in stacker.motions("rod", "table")[:4]:
+        report = stacker.run(session, RIGHT, motion)
+        assert report.state == "succeeded", report.reason
+    session.advance(0.3)
+    assert session.is_resting_on("rod", "table")
