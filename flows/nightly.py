@@ -9,6 +9,7 @@ from flows.ingest import ingest
 from flows.inputs import Address, Bucket, QuietSeconds, Runner, Workers
 from flows.learn import learn
 from flows.reprocess import reprocess
+from flows.showing import show_run
 
 
 @flow(name="nightly", persist_result=False)
@@ -42,5 +43,6 @@ async def nightly(
     await reprocess(store, workers=workers, runner=runner, address=address)
     await ingest(dataset, store, root, pattern, quiet_s, workers, runner, address, bucket)
     version = await learn(dataset, store, root, segmenter, workers, runner, address)
-    await evaluate(dataset, store, root, segmenter, workers, runner, address)
+    result = await evaluate(dataset, store, root, segmenter, workers, runner, address)
+    await show_run(version.learned.version.dataset, version, result)
     return version.learned.version.domain_id

@@ -1,5 +1,6 @@
 """Results as Prefect artifacts: for the person who looks in the morning."""
 
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 from urllib.parse import quote
@@ -12,10 +13,12 @@ from prefect.artifacts import (
 )
 
 from demoplan.language.diff import Change
+from demoplan.pipeline.run import RunResult
 from demoplan.pipeline.study import Tried
 from demoplan.pipeline.versions import NewVersion
 from demoplan.store import EpisodeState, Store
 
+MOST_CAUSES = 10
 MOST_ROWS = 1000
 """Rows of a table that go into an artifact: it is kept in Prefect's database."""
 
@@ -82,6 +85,39 @@ def success_matrix(tried: Sequence[Tried]) -> list[dict[str, str]]:
         row = rows.setdefault(each.trial.domain, {"domain": each.trial.domain})
         row[each.trial.goal] = each.trial.cause or "solved"
     return [rows[name] for name in sorted(rows)]
+
+
+async def show_run(dataset: str, version: NewVersion, result: RunResult) -> None:
+    """What came of a whole run, in a few lines."""
+    await acreate_markdown_artifact(
+        key=key_of("run-report", dataset),
+        markdown=run_text(dataset, version, result.states, result.tried),
+        description="Run report",
+    )
+
+
+def run_text(
+    dataset: str, version: NewVersion, states: Sequence[EpisodeState], tried: Sequence[Tried]
+) -> str:
+    """Episodes by what became of them, the domain, and how many goals are solved, as Markdown."""
+    statuses = Counter(state.status for state in states)
+    domain = version.learned.version.domain_id
+    if version.previous is None:
+        news = "the first version"
+    elif version.is_new:
+        news = f"a new version, {len(version.changes)} differences from the one before"
+    else:
+        news = "as it was before"
+    causes = Counter(each.trial.cause for each in tried if each.trial.cause is not None)
+    lines = [
+        f"# {dataset}",
+        f"- {len(states)} episodes: {', '.join(f'{n} {name}' for name, n in sorted(statuses.items()))}",
+        *(f"  - {_escaped(s.episode_id)}: {_escaped(s.reason or s.status)}" for s in states if s.reason),
+        f"- domain `{domain}`: {news}",
+        f"- {sum(t.trial.is_solved for t in tried)} of {len(tried)} pairs of domain and goal are solved",
+        *(f"  - {n} × {_escaped(cause)}" for cause, n in causes.most_common(MOST_CAUSES)),
+    ]
+    return "\n".join(lines[:MOST_ROWS]) + "\n"
 
 
 async def show_stale(rows: pl.DataFrame, cost_s: float) -> None:

@@ -134,6 +134,35 @@ def test_differences_are_written_so_that_markdown_does_not_eat_them():
     assert key_of("progress", "lab: read, align") == "progress-lab-read-align"
 
 
+def test_a_run_report_says_what_was_lost_what_is_new_and_what_is_solved():
+    from types import SimpleNamespace
+
+    from flows.showing import run_text
+
+    from demoplan.store import EpisodeState
+
+    version = SimpleNamespace(
+        learned=SimpleNamespace(version=SimpleNamespace(domain_id="abcd")),
+        previous=object(),
+        is_new=True,
+        changes=(1, 2),
+    )
+    states = [
+        EpisodeState(dataset="lab", episode_id="a"),
+        EpisodeState(dataset="lab", episode_id="b_1", status="quarantined", reason="cut <short>"),
+    ]
+    tried = [
+        SimpleNamespace(trial=SimpleNamespace(is_solved=cause is None, cause=cause))
+        for cause in (None, "unsolvable", "unsolvable")
+    ]
+    text = run_text("lab", version, states, tried)
+    assert "2 episodes: 1 complete, 1 quarantined" in text
+    assert "b\\_1: cut \\<short\\>" in text
+    assert "`abcd`: a new version, 2 differences" in text
+    assert "1 of 3 pairs" in text
+    assert "2 × unsolvable" in text
+
+
 @pytest.mark.slow
 def test_a_night_takes_up_what_arrived_learns_evaluates_and_shows_it(lab, tmp_path, prefect_server):
     from flows.nightly import nightly
@@ -157,9 +186,12 @@ def test_a_night_takes_up_what_arrived_learns_evaluates_and_shows_it(lab, tmp_pa
     assert {"episodes-lab", "domain-diff-lab", "success-lab", "report-lab", "stale"} <= set(found)
     assert "The first version" in found["domain-diff-lab"].data
     assert "combined" in found["success-lab"].data
+    assert "3 episodes: 3 complete" in found["run-report-lab"].data
+    assert f"domain `{domain_id}`: the first version" in found["run-report-lab"].data
     assert [key for key in found if key.startswith("progress-")]
     assert asyncio.run(nightly(lab, **arguments)) == domain_id
     assert "says the same" in artifacts()["domain-diff-lab"].data
+    assert "as it was before" in artifacts()["run-report-lab"].data
 
 
 @pytest.mark.slow
