@@ -133,7 +133,7 @@ def read_table(place: Place, name: str, schema: type[Table]) -> dy.DataFrame[Tab
         raise AbsentError(f"{place.location}: {name}: not there") from None
     except (OSError, pa.ArrowException, pl.exceptions.PolarsError) as error:
         raise StoreError(
-            f"{place.location}: {name} is not a readable table: {error}; "
+            f"{place.location}: {name} is not a readable table: {' '.join(str(error).split())}; "
             "`demoplan store repair` sets it aside, `demoplan reprocess` makes it again"
         ) from None
     return read_as_declared(table, found, schema, f"{place.location}: {name}")
