@@ -90,6 +90,8 @@ def table(title: str, small: dict, large: dict, sizes: tuple[int, int]) -> None:
         n_m, b_m = n_b + (n_b - n_a) * steps, b_b + (b_b - b_a) * steps
         if kind == "shards":  # few are not full
             n_m = b_m / SHARD_BYTES
+        elif kind == "states":  # one for each dataset
+            n_m = n_b
         print(f"| {kind} | {n_a} | {n_b} | {b_b / 1e6:.2f} | {n_m:,.0f} | {b_m / 1e9:.1f} |", flush=True)
 
 
