@@ -82,7 +82,7 @@ def test_an_object_out_of_reach_is_said_to_be_so_before_anything_moves(command, 
     ended = command("-g", ONE, "--robot", "tiago", "--scene", scene((0.38, 0.48, 0.025), (0.0, 0.1, 0.025)))
     assert ended.code == 1
     assert (ended.row["outcome"], ended.row["n_steps"]) == ("out_of_reach", 0)
-    assert "cannot get to cube_red" in ended.row["reason"]
+    assert "for cube_red" in ended.row["reason"]
 
 
 def test_a_robot_whose_package_is_missing_is_said_to_be_so(command, monkeypatch):

@@ -13,6 +13,9 @@ from demoplan.language.domains import Domain, Plan
 from demoplan.pipeline.planning import Start
 from demoplan.pipeline.senses import TABLE
 
+FROM_ABOVE_M = {"reach": 0.04, "grasp": 0.0, "carry": 0.02}
+"""From so far above its place a hand comes straight down, by skill: the least that motions try [m]."""
+
 
 def out_of_reach(
     plan: Plan, domain: Domain, session: Session, places: Mapping[str, np.ndarray], skills: SkillTable
@@ -38,12 +41,14 @@ def out_of_reach(
             rise = (heights[support] + heights[thing]) / 2
             places[thing] = places[support] + np.array([0.0, 0.0, rise])
         spot = tuple(float(value) for value in np.round(places[thing], 3))
-        if (hand, thing, spot) in told:
+        if (hand, motion.skill, spot) in told:
             continue
-        told.add((hand, thing, spot))
-        why = session.can_reach(hand, (spot[0], spot[1], spot[2]))
-        if why is not None:
-            return f"step {number}, {step}: {hand} cannot get to {thing} at {spot}: {why}"
+        told.add((hand, motion.skill, spot))
+        for above_m in sorted({0.0, FROM_ABOVE_M.get(motion.skill, 0.0)}):
+            why = session.can_reach(hand, (spot[0], spot[1], round(spot[2] + above_m, 3)))
+            if why is not None:
+                way = f"come down from {above_m:.2f} m above" if above_m else "get"
+                return f"step {number}, {step}: {hand} cannot {way} to {spot}, for {thing}: {why}"
     return None
 
 

@@ -196,6 +196,14 @@ def test_a_tower_beyond_reach_is_refused_before_anything_moves(run, new_session,
     assert session.n_started == 0
 
 
+def test_a_place_that_the_hand_cannot_come_down_to_is_out_of_reach_too(run, new_session, four_cubes):
+    # The third cube's middle comes to 0.125 m; the hand has to come from a little above.
+    session = new_session(four_cubes, highest_m=0.13)
+    found = row(run(TOWER, session=session))
+    assert (found["outcome"], session.n_started) == ("out_of_reach", 0)
+    assert "come down" in found["reason"]
+
+
 def test_a_goal_that_the_operators_cannot_express_has_no_plan(run):
     found = row(run("onTop(cube_red, cube_blue) & onTop(cube_blue, cube_red)"))
     assert found["outcome"] == "no_plan"
