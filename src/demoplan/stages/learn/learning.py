@@ -12,11 +12,12 @@ import polars as pl
 from demoplan.language.domains import Signature
 from demoplan.language.types import TypeHierarchy
 from demoplan.stages.learn.bind import bind_arguments, bind_roles
+from demoplan.stages.learn.conditional import part_by_conditions
 from demoplan.stages.learn.encode import encode
 from demoplan.stages.learn.findings import findings_of
 from demoplan.stages.learn.lift import AFTER, BEFORE, Lifted, LiftedAtom, Pattern, lift
 from demoplan.stages.learn.mend import mend
-from demoplan.stages.learn.merge import Candidate, Draft, merge
+from demoplan.stages.learn.merge import Candidate, Draft, merge, weigh
 from demoplan.stages.learn.params import LearnParams
 from demoplan.stages.learn.reach import keep_plannable
 from demoplan.stages.learn.relevance import LOGGED, TRACED
@@ -89,6 +90,13 @@ def drafts_of_logs(
     Where readings are wrong at some rate, what is no more frequent than that is not believed.
     """
     drafts = merge(lifted, types, predicates, params, LOGGED)
+    parts = [
+        part
+        for draft in drafts
+        for part in part_by_conditions(draft, lifted.patterns, types, predicates, LOGGED)
+    ]
+    if len(parts) > len(drafts):
+        drafts = weigh(parts, lifted.patterns, types, predicates, params=params, relevance=LOGGED)
     drafts = [keep_apart(draft, lifted.patterns, types, predicates, params) for draft in drafts]
     drafts = [check_balance(draft, lifted.patterns, params) for draft in drafts]
     return list(keep_plannable(prune(drafts, params, misread_rate), params))

@@ -43,6 +43,8 @@ class Draft:
     quarantine: str | None = None
     """Why it is left out of the domain."""
     note: str | None = field(default=None)
+    parted_by: tuple[tuple[LiftedAtom, bool], ...] = ()
+    """Conditions, with their value, that tell it apart from another of the same activity."""
 
     @property
     def variables(self) -> tuple[int, ...]:
@@ -226,12 +228,28 @@ def weigh(
     conditions: list[list[Candidate]] = [[] for _ in drafts]
     for (position, atom, cells), belief in zip(cells_of, beliefs, strict=True):
         condition, changes = _literals(atom, cells, belief, params=params, relevance=relevance)
+        forced = dict(drafts[position].parted_by).get(atom)
+        if forced is not None:
+            condition = [_parting(atom, forced, cells, belief)]
         conditions[position] += condition
         effects[position] += changes
     return [
         replace(draft, preconditions=tuple(before), effects=tuple(after))
         for draft, before, after in zip(drafts, conditions, effects, strict=True)
     ]
+
+
+def _parting(atom: LiftedAtom, value: bool, cells: Cells, belief: Belief) -> Candidate:
+    """The condition that an operator was parted by: all its transitions show it."""
+    return Candidate(
+        atom=atom,
+        is_positive=value,
+        n_support=sum(count for (before, _), count in cells.items() if before is value),
+        n_against=sum(count for (before, _), count in cells.items() if before is (not value)),
+        probability=belief.required if value else belief.avoided,
+        is_kept=True,
+        note="tells the operator apart from another of its activity",
+    )
 
 
 def _literals(
