@@ -1,3 +1,5 @@
+import sys
+
 import numpy as np
 import pytest
 
@@ -145,6 +147,26 @@ def test_reach_is_refused_only_where_no_configuration_is_found_by_a_longer_searc
     assert "0.90 m from its shoulder" in why
 
 
+def test_what_is_laid_on_the_table_is_laid_well_inside_the_reach(stacker):
+    # The nearest free place to the cube is at the edge of the reach, towards the robot.
+    scene = SceneSpec(
+        objects=(
+            ObjectSpec(name="under", position_xyz_m=(-0.12, 0.0, 0.025)),
+            ObjectSpec(name="over", position_xyz_m=(-0.12, 0.0, 0.075)),
+            ObjectSpec(name="far", position_xyz_m=(0.20, 0.10, 0.025)),
+        )
+    )
+    session = open_session(scene, "tiago", seed=0)
+    session.advance(0.2)
+    for motion in stacker.motions("over", "table")[:4]:
+        report = stacker.run(session, RIGHT, motion)
+        assert report.state == "succeeded", report.reason
+    arm = session.others_of("")[0].arm
+    place = session.pose("over")[0]
+    assert arm.room_m(place[:2]) > 0.04
+    assert session.can_reach(RIGHT, tuple(place)) is None
+
+
 def test_what_no_straight_way_leads_to_is_reached_through_joints(stacker):
     scene = random_scene(cube_names(2), seed=3)
     session = open_session(scene, "tiago", seed=3)
@@ -155,3 +177,11 @@ def test_what_no_straight_way_leads_to_is_reached_through_joints(stacker):
     report = stacker.run(session, RIGHT, Motion(activity="Reach", skill="reach", object="cube_red"))
     assert report.state == "succeeded"
     assert report.n_collisions == 0
+
+
+def test_missing_kinematics_are_named_with_what_to_install(monkeypatch):
+    monkeypatch.setitem(sys.modules, "mink", None)
+    for module in ("tiago", "inverse"):
+        monkeypatch.delitem(sys.modules, f"demoplan.engines.mujoco.robots.{module}", raising=False)
+    with pytest.raises(SimulationError, match=r"TIAGo needs mink.*extra 'robot'"):
+        open_session(random_scene(cube_names(1), seed=0), "tiago", seed=0)

@@ -163,6 +163,11 @@ class GripperArm:
         if self.reachable(position_xyz_m) is None:
             yield np.append(position_xyz_m, yaw_rad)
 
+    def room_m(self, position_xy_m: Array) -> float:
+        """How far inside its space a place on the table is [m]."""
+        position = np.asarray(position_xy_m, dtype=float)
+        return float(min((position - self._low[:2]).min(), (self._high[:2] - position).min()))
+
     def reachable(self, position_xyz_m: Array) -> str | None:
         """Why the grasp cannot come there from above; None if it can."""
         position = np.asarray(position_xyz_m, dtype=float)

@@ -19,6 +19,9 @@ from demoplan.engines.mujoco.robots.routing import Destination
 from demoplan.engines.mujoco.session import Motion
 from demoplan.geometry import Array, multiply, rotate
 
+_ROOM_M = 0.05
+"""Places on the table that are so far inside the arm's reach come first."""
+
 
 def carry(control: ArmControl, motion: Motion) -> Script:
     """Lift what is in the hand, carry it over everything, and lower it on its support."""
@@ -69,6 +72,8 @@ def _carry_above(
         spots = list(control.around.free_spots(name, own.radius_m + control.arm.hand_radius_m))
         if not spots:
             raise MotionFailed("path_blocked", f"no free spot on {support} for {name}", is_blocked=True)
+        # What is put at the very edge of the reach can hardly be taken, or built on, again.
+        spots.sort(key=lambda spot: spot is not None and control.arm.room_m(spot) < _ROOM_M)
     failure: MotionFailed | None = None
     support_stance = None if control.around.is_surface(support) else control.around.stance(support)
     # Close to its body an arm cannot raise its hand far: then it passes over the place from less high.

@@ -64,6 +64,9 @@ class Arm(Protocol):
     def postures(self, position_xyz_m: Array, yaw_rad: float, rng: np.random.Generator) -> Iterator[Array]:
         """Different configurations ``(d,)`` that bring the upright grasp to a pose, as far as there are."""
 
+    def room_m(self, position_xy_m: Array) -> float:
+        """How far inside its reach a place on the table is, roughly; negative outside [m]."""
+
     def reachable(self, position_xyz_m: Array) -> str | None:
         """Why the upright grasp cannot come to a position, however turned; None if it can.
 

@@ -251,6 +251,11 @@ class TiagoArm:
         """Configurations ``(7,)`` for a pose, the one nearest to where the arm is first."""
         yield from self._inverse.postures(position_xyz_m, yaw_rad, rng, self._commanded)
 
+    def room_m(self, position_xy_m: Array) -> float:
+        """How far inside its reach a place on the table is, roughly [m]."""
+        away = float(np.linalg.norm(np.asarray(position_xy_m) - self._shoulder_xy_m))
+        return min(away - REACH_M[0], REACH_M[1] - away)
+
     def reachable(self, position_xyz_m: Array) -> str | None:
         """Why the upright grasp cannot come to a position, however turned; None if it can."""
         position = np.round(np.asarray(position_xyz_m, dtype=float), 3)
