@@ -161,6 +161,20 @@ def test_a_log_that_changes_while_it_is_read_is_read_once_more_and_then_set_asid
         assert not set(state.tables) - {"episodes"}, "no table of half a log is kept"
 
 
+def test_a_file_that_is_no_part_of_a_log_may_come_while_it_is_read(opened, tmp_path, monkeypatch):
+    job = jobs_of(opened, Store(tmp_path / "store"))[1]
+    assert job.log.is_dir()
+    log = shutil.copytree(job.log, tmp_path / "bag")
+    real = episode_stages.open_log
+
+    def open_and_add(*args, **options):
+        (log / "notes.txt").write_text("a person's notes")
+        return real(*args, **options)
+
+    monkeypatch.setattr(episode_stages, "open_log", open_and_add)
+    assert ingest.ingest_episode(replace(job, log=log)).status == "complete"
+
+
 def test_of_a_group_whose_worker_dies_only_the_one_that_kills_it_is_set_aside(opened, tmp_path):
     store = Store(tmp_path)
     jobs = jobs_of(opened, store)
