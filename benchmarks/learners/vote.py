@@ -16,7 +16,7 @@ def vote(case: Path) -> str:
     before: Counter[tuple[str, reference.Fact]] = Counter()
     after: Counter[tuple[str, reference.Fact]] = Counter()
     n: Counter[str] = Counter()
-    over = {name: _candidates(model, action) for name, action in model.actions.items()}
+    over = {name: candidates(model, action) for name, action in model.actions.items()}
     for trace in sorted((case / "trajectories").glob("*_traj")):
         states, actions = reference.read_trace(trace)
         for state, (name, *arguments), following in zip(states, actions, states[1:], strict=False):
@@ -37,7 +37,7 @@ def vote(case: Path) -> str:
     return reference.domain_text(model, {name for name in model.actions if n[name]})
 
 
-def _candidates(model: reference.Model, action: reference.Action) -> list[reference.Fact]:
+def candidates(model: reference.Model, action: reference.Action) -> list[reference.Fact]:
     found = []
     for predicate, types in model.predicates.items():
         fitting = [[name for name, kind in action.parameters if model.fits(kind, wanted)] for wanted in types]

@@ -137,3 +137,14 @@ def learned():
         }
 
     return text
+
+
+@pytest.fixture(scope="session")
+def courier_one_by_one():
+    """Seven noisy walks, each a trace set of its own from one reader."""
+    signatures, _ = read_signatures(DOMAIN, "domain.pddl")
+    reader, pieces = TraceReader(signatures), []
+    for number in range(7):
+        reader.add(text_of(*walk(number), seed=number, rate=0.1), f"{number}_traj", OBJECTS)
+        pieces.append(reader.take())
+    return pieces

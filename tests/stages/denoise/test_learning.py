@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from demoplan.inference import believe
 from demoplan.language.atoms import Atom
-from demoplan.stages.denoise import DenoiseParams, conclude, denoise, gather
+from demoplan.stages.denoise import DenoiseParams, conclude, denoise, forget, gather
 from demoplan.stages.denoise.counts import count
 from demoplan.stages.denoise.opportunities import Occasions, Opportunity, forbidden, occasions
 from demoplan.stages.denoise.touches import Candidate, GroundCodes, candidates, spans, touch
@@ -124,6 +124,21 @@ def test_counts_of_two_sets_add_up_and_forgetting_one_is_exact(courier):
     for column in ("true_before", "false_before", "true_after", "false_after", "n_transitions"):
         assert getattr(first + second, column).tolist() == getattr(all_of_them, column).tolist()
         assert getattr(all_of_them - second, column).tolist() == getattr(first, column).tolist()
+
+
+@pytest.mark.parametrize(
+    ("number", "order"), [(0, range(7)), (3, (6, 3, 1, 0, 5, 2, 4)), (6, range(6, -1, -1))]
+)
+def test_a_forgotten_trace_leaves_nothing_behind(courier_one_by_one, number, order):
+    pieces = courier_one_by_one
+    gathered, without = None, None
+    for n in order:
+        gathered = gather(pieces[n], so_far=gathered)
+        without = without if n == number else gather(pieces[n], so_far=without)
+    forgotten = forget(gathered, pieces[number])
+    assert forgotten.counts.n_transitions.tolist() == without.counts.n_transitions.tolist()
+    assert forgotten.n_episodes.tolist() == without.n_episodes.tolist()
+    assert conclude(forgotten).literals.equals(conclude(without).literals)
 
 
 def test_counts_are_those_of_looking_at_one_transition_after_the_other(courier):

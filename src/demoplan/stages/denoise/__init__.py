@@ -5,8 +5,8 @@ changed a ground atom; ``demoplan.inference`` says what each literal is; ``snaps
 ``implications`` leave out conditions that say nothing new; ``learning`` puts them into tables.
 """
 
-from demoplan.stages.denoise.learning import Denoised, Gathered, conclude, denoise, gather
+from demoplan.stages.denoise.learning import Denoised, Gathered, conclude, denoise, forget, gather
 from demoplan.stages.denoise.params import DenoiseParams
 from demoplan.stages.denoise.tabling import traces_of
 
-__all__ = ["DenoiseParams", "Denoised", "Gathered", "conclude", "denoise", "gather", "traces_of"]
+__all__ = ["DenoiseParams", "Denoised", "Gathered", "conclude", "denoise", "forget", "gather", "traces_of"]

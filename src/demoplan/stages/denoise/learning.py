@@ -10,7 +10,7 @@ import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
-from demoplan.inference import ADD, DELETE, KEEP, Beliefs, Timelines, believe
+from demoplan.inference import ADD, DELETE, KEEP, Beliefs, FlipRates, Timelines, believe
 from demoplan.language.atoms import Atom, Literal
 from demoplan.language.traces import TraceSet
 from demoplan.language.traces.values import Codes
@@ -95,6 +95,26 @@ def gather(
     return Gathered(so_far.sample.join(sample), so_far.counts + counts, so_far.n_episodes + n_episodes)
 
 
+def forget(gathered: Gathered, traces: TraceSet) -> Gathered:
+    """What would have been gathered without some traces.
+
+    Exact while everything is kept, see :func:`gather`; later the counts stay exact, and the sample loses what
+    it had of these traces.
+
+    Args:
+        gathered: What was gathered, these traces among it.
+        traces: All of the traces to forget, from the same reader; they are known by their names.
+    """
+    counts = gathered.counts - count(traces, candidates(traces.signatures), GroundCodes(traces))
+    sample, names = gathered.sample, set(traces.trace_names)
+    is_start = np.r_[True, sample.state_trace[1:] != sample.state_trace[:-1]][: sample.n_states]
+    first = np.flatnonzero(is_start)
+    last = np.r_[first[1:] - 1, sample.n_states - 1][: len(first)]
+    is_kept = np.array([sample.trace_names[trace] not in names for trace in sample.state_trace[first]], bool)
+    rest = sample.select(first[is_kept], last[is_kept])
+    return Gathered(rest, counts, gathered.n_episodes - _n_episodes(traces))
+
+
 def denoise(traces: TraceSet, params: DenoiseParams = DenoiseParams()) -> Denoised:
     """Learn one operator per action of the traces' signatures.
 
@@ -121,7 +141,7 @@ def conclude(gathered: Gathered, params: DenoiseParams = DenoiseParams()) -> Den
     n_actions = len(traces.signatures.actions)
     owner = np.array([each.action for each in over], dtype=np.int64)
     is_seen = gathered.counts.n_transitions[owner] > 0
-    verdicts = _verdicts(over, touches.timelines, beliefs, params)
+    verdicts = _verdicts(over, touches.timelines, gathered.counts, beliefs, params)
     implications = None
     if params.is_minimal and len(touches.timelines.entry_touch):
         seen = snapshots(traces, chosen, touches, beliefs, codes, params)
@@ -166,9 +186,16 @@ class _Verdicts:
 
 
 def _verdicts(
-    over: tuple[Candidate, ...], timelines: Timelines, beliefs: Beliefs, params: DenoiseParams
+    over: tuple[Candidate, ...], timelines: Timelines, counts: Counts, beliefs: Beliefs, params: DenoiseParams
 ) -> _Verdicts:
-    required, effects = beliefs.required, beliefs.effects
+    # Messages that go round in loops make surer than they should: what else is known may add only so much to
+    # what was seen right before and after an action.
+    before = _odds(over, counts.true_before, counts.false_before, beliefs.rates)
+    after = _odds(over, counts.true_after, counts.false_after, beliefs.rates)
+    required, effects = np.minimum(beliefs.required, _at_most(before, params)), beliefs.effects
+    for column, odds in ((ADD, after), (DELETE, -after)):
+        effects[:, column] = np.minimum(effects[:, column], _at_most(odds, params))
+    effects[:, KEEP] = np.maximum(1 - effects[:, ADD] - effects[:, DELETE], 0)
     effect = effects.argmax(axis=1)
     action = np.array([each.action for each in over], dtype=np.int64)
     for each in np.unique(action):
@@ -179,6 +206,18 @@ def _verdicts(
     least = np.where(effect == DELETE, params.required_if_deleted_min, params.required_min)
     met = occasions(timelines, beliefs.messages, len(over))
     return _Verdicts((required >= least) & (effect != ADD), effect, required, met, effects)
+
+
+def _odds(over: tuple[Candidate, ...], true: Codes, false: Codes, rates: FlipRates) -> NDArray[np.float64]:
+    """Logarithm of the odds that literals were always true against always false, by how they were seen."""
+    predicate = np.array([each.predicate for each in over], dtype=np.int64)
+    missed, imagined = rates.missed[predicate], rates.imagined[predicate]
+    return np.asarray(true * np.log((1 - missed) / imagined) + false * np.log(missed / (1 - imagined)))
+
+
+def _at_most(odds: NDArray[np.float64], params: DenoiseParams) -> NDArray[np.float64]:
+    """The highest probability that what was seen directly leaves room for."""
+    return np.asarray(1 / (1 + np.exp(np.clip(-odds - params.chain_evidence_max, -700, 700))))
 
 
 def _forbidden(

@@ -117,13 +117,13 @@ def forbidden(found: Sequence[Opportunity], params: DenoiseParams) -> dict[Candi
         n, n_true = each.met.n, each.met.n_true
         exceptions = params.implied_exceptions_max
         by_rule = n_true * math.log(exceptions) + (n - n_true) * math.log1p(-exceptions)
-        by_habit = math.log(
-            sum(weight * math.exp(_log_met(each, steady)) for steady, weight in weights.items())
+        by_habit = np.logaddexp.reduce(
+            [math.log(max(weight, 1e-300)) + _log_met(each, steady) for steady, weight in weights.items()]
         )
-        odds = by_rule - by_habit - params.forbidden_prior
+        odds = float(by_rule - by_habit) - params.forbidden_prior
         if odds > 0:
             why = f"avoided on {n} occasions where it held in {each.share:.0%} of the chances"
-            said[each.literal] = 1 / (1 + math.exp(-odds)), why
+            said[each.literal] = 1 / (1 + math.exp(-min(odds, 700.0))), why
     return said
 
 

@@ -20,6 +20,8 @@ class DenoiseParams(BeliefParams):
     effect_despite: float = 0.05
     """An action without any likely added literal is given its likeliest, if that is at least this likely:
     nobody acts to no end."""
+    chain_evidence_max: float = 3.0
+    """Natural logarithm of the odds that courses of atoms may add to what was seen right before and after."""
     is_minimal: bool = True
     """Leave out conditions that others imply in everything seen."""
     n_implied_min: int = 10
