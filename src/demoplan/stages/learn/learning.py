@@ -89,14 +89,22 @@ def drafts_of_logs(
 
     Where readings are wrong at some rate, what is no more frequent than that is not believed.
     """
-    drafts = merge(lifted, types, predicates, params, LOGGED)
+    drafts = merge(lifted, types, predicates, params, LOGGED, misread_rate)
     parts = [
         part
         for draft in drafts
         for part in part_by_conditions(draft, lifted.patterns, types, predicates, LOGGED)
     ]
     if len(parts) > len(drafts):
-        drafts = weigh(parts, lifted.patterns, types, predicates, params=params, relevance=LOGGED)
+        drafts = weigh(
+            parts,
+            lifted.patterns,
+            types,
+            predicates,
+            params=params,
+            relevance=LOGGED,
+            misread_rate=misread_rate,
+        )
     drafts = [keep_apart(draft, lifted.patterns, types, predicates, params) for draft in drafts]
     drafts = [check_balance(draft, lifted.patterns, params) for draft in drafts]
     return list(keep_plannable(prune(drafts, params, misread_rate), params))

@@ -92,6 +92,7 @@ def merge(
     predicates: Sequence[Signature],
     params: LearnParams,
     relevance: "Relevance",
+    misread_rate: float = 0.0,
 ) -> list[Draft]:
     """Group patterns that change hold and support alike, lift their types, and weigh every literal."""
     groups: dict[tuple[object, ...], list[int]] = defaultdict(list)
@@ -113,7 +114,15 @@ def merge(
                     count=sum(lifted.patterns[position].count for position in members),
                 )
             )
-    return weigh(drafts, lifted.patterns, types, predicates, params=params, relevance=relevance)
+    return weigh(
+        drafts,
+        lifted.patterns,
+        types,
+        predicates,
+        params=params,
+        relevance=relevance,
+        misread_rate=misread_rate,
+    )
 
 
 def _split_by_type(
@@ -183,8 +192,15 @@ class Belief:
     deleted: float
 
 
+_LEFT = 0.2
+"""Share of misreadings that mending leaves, or makes; see ``benchmarks/learning.py``."""
+
+
 def believed(
-    cells_of: Sequence[tuple[LiftedAtom, Cells]], predicates: Sequence[Signature], params: LearnParams
+    cells_of: Sequence[tuple[LiftedAtom, Cells]],
+    predicates: Sequence[Signature],
+    params: LearnParams,
+    misread_rate: float = 0.0,
 ) -> list[Belief]:
     """Beliefs about the atoms of operators, all at once: predicates share rates and habits."""
     code_of = {signature.name: code for code, signature in enumerate(predicates)}
@@ -196,7 +212,8 @@ def believed(
     predicate = np.array([code_of[atom.predicate] for atom, _ in cells_of], dtype=np.int64)
     if not len(predicate):
         return []
-    found = believe_pairs(counts, predicate, len(predicates), BeliefParams(slip=params.slip))
+    least = max(BeliefParams.flip_min, _LEFT * misread_rate)
+    found = believe_pairs(counts, predicate, len(predicates), BeliefParams(slip=params.slip, flip_min=least))
     return [
         Belief(
             required=min(float(found.required[row]), 1.0),
@@ -216,6 +233,7 @@ def weigh(
     *,
     params: LearnParams,
     relevance: Relevance,
+    misread_rate: float = 0.0,
 ) -> list[Draft]:
     """The drafts with every relevant literal's counts, posterior, and whether it is stated."""
     cells_of = [
@@ -223,7 +241,7 @@ def weigh(
         for position, draft in enumerate(drafts)
         for atom in universe(draft.types, types, predicates)
     ]
-    beliefs = believed([(atom, cells) for _, atom, cells in cells_of], predicates, params)
+    beliefs = believed([(atom, cells) for _, atom, cells in cells_of], predicates, params, misread_rate)
     effects: list[list[Candidate]] = [[] for _ in drafts]
     conditions: list[list[Candidate]] = [[] for _ in drafts]
     for (position, atom, cells), belief in zip(cells_of, beliefs, strict=True):
