@@ -1,9 +1,9 @@
 """How often literals are right that are said to be right with some probability: a reliability table.
 
 ``python benchmarks/learners/calibration.py --work WORK --source AMLGYM/benchmarks`` takes every case that
-``run.py`` left in ``WORK/cases``, learns it, and looks each literal up. A condition counts as right if it truly
-held before every instance of its action, which only the clean traces can tell: whether it was needed no trace
-shows. An effect counts as right if the reference domain states it.
+``run.py`` left in ``WORK/cases``, learns it, and looks each literal up. A condition counts as right if it
+truly held before every instance of its action, which only the clean traces can tell: whether it was needed no
+trace shows. An effect counts as right if the reference domain states it.
 """
 
 import argparse

@@ -138,13 +138,13 @@ class TraceSet:
         )
 
     def join(self, later: "TraceSet") -> "TraceSet":
-        """Both sets' traces; ``later`` was taken from the same reader, so that its codes go on from these."""
+        """Both sets' traces, these first; both were taken from one reader, whose codes only ever grow."""
 
         def chained(one: Codes, other: Codes, offset: int = 0) -> Codes:
             return np.concatenate([one, other + offset])
 
         return replace(
-            later,
+            max(self, later, key=lambda each: (len(each.atom_predicate), len(each.object_names))),
             trace_names=self.trace_names + later.trace_names,
             state_trace=chained(self.state_trace, later.state_trace, len(self.trace_names)),
             is_partial=np.concatenate([self.is_partial, later.is_partial]),
