@@ -15,8 +15,11 @@ from demoplan.store.store import SWEEP, Store
 SHARD_BYTES = 100_000_000
 """A shard is closed when it holds tables of so many bytes."""
 
+MOST_PARTS = 1000
+"""A shard is closed when it holds so many tables: its footer, which every reader reads, grows with them."""
+
 FULL_SHARE = 0.5
-"""Shards smaller than this share of a full one are joined with what is new."""
+"""Shards smaller than this share of a full one, by bytes and by tables, are joined with what is new."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -101,7 +104,12 @@ def _chosen(store: Store, name: str, parts: Sequence[_Part], shard_bytes: int) -
     """Groups of parts, each of which becomes a shard: what is new, and what small shards hold."""
     sizes = {entry.name: entry.n_bytes for entry in store.shards.entries()}
     mine = {part.spot.shard for part in parts if part.spot is not None}
-    small = {shard for shard in mine if sizes[shard] < FULL_SHARE * shard_bytes}
+    n_parts = {shard: len(store.shards.spots_of(shard)) for shard in mine}
+    small = {
+        shard
+        for shard in mine
+        if sizes[shard] < FULL_SHARE * shard_bytes and n_parts[shard] < FULL_SHARE * MOST_PARTS
+    }
     new = [part for part in parts if part.spot is None]
     if not new and len(small) < 2:
         return
@@ -113,7 +121,7 @@ def _chosen(store: Store, name: str, parts: Sequence[_Part], shard_bytes: int) -
             continue
         group.append(part)
         n_bytes += part.n_bytes or (sizes[part.spot.shard] / n_in_shard[part.spot.shard] if part.spot else 0)
-        if n_bytes >= shard_bytes:
+        if n_bytes >= shard_bytes or len(group) >= MOST_PARTS:
             yield group
             group, n_bytes = [], 0.0
     if group:

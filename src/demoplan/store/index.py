@@ -5,10 +5,14 @@ from demoplan.store.objects import ObjectStore
 from demoplan.store.records import Record, RecordStore
 
 
-class Index:
-    """Which tables and records are there, as of when it was first asked; each is listed once.
+_FEW = 50
+"""So many questions are answered one by one: a listing of a large store takes as long as hundreds of them."""
 
-    What is written afterwards is not in it.
+
+class Index:
+    """Which tables and records are there; each is listed once, as soon as many are asked for.
+
+    What is written after that is not in it.
     """
 
     def __init__(self, objects: ObjectStore, records: RecordStore) -> None:
@@ -17,19 +21,28 @@ class Index:
         self._records = records
         self._contents: set[str] | None = None
         self._keys: set[tuple[str, str]] | None = None
+        self._n_asked = 0
         self._read: dict[tuple[str, str], Record] = {}
 
     def has(self, content: str) -> bool:
         """Whether a table of that hash is there."""
+        if self._contents is None and self._is_among_few():
+            return self._objects.has(ContentHash(content))
         if self._contents is None:
             self._contents = self._objects.contents()
         return content in self._contents
 
     def has_record(self, stage: str, key: str) -> bool:
         """Whether there is a record of that key."""
+        if self._keys is None and self._is_among_few():
+            return self._records.get(stage, ContentHash(key)) is not None
         if self._keys is None:
             self._keys = self._records.keys()
         return (stage, key) in self._keys
+
+    def _is_among_few(self) -> bool:
+        self._n_asked += 1
+        return self._n_asked <= _FEW
 
     def record(self, stage: str, key: str) -> Record | None:
         """The record of that key, read at most once; None if there is none."""

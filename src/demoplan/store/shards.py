@@ -21,6 +21,8 @@ from demoplan.store.places import AbsentError, Entry, NewerError, Place
 
 SHARD_FORMAT = "1"
 
+_MOST_FOOTERS = 16
+
 _LOOK_AGAIN_S = 2.0
 """Whether something is there is not asked of the listing more often than this [s]."""
 
@@ -49,6 +51,8 @@ class Shards:
         self._place = place
         self._spots: dict[str, dict[str, Spot]] = {}
         """Shard → content → where it is."""
+        self._footers: dict[str, pq.FileMetaData] = {}
+        """The footers that were read last."""
         self._looked_s = -_LOOK_AGAIN_S
 
     def entries(self) -> list[Entry]:
@@ -145,12 +149,20 @@ class Shards:
 
     def _open(self, name: str) -> pq.ParquetFile:
         path = self._place.path(name)
-        if path is not None:
+        footer = self._footers.get(name)
+        if path is None:
+            file = pq.ParquetFile(pa.PythonFile(self._place.open(name), mode="r"), metadata=footer)
+        else:
             try:
-                return pq.ParquetFile(path)
+                file = pq.ParquetFile(path, metadata=footer)
             except FileNotFoundError:
                 raise AbsentError(f"{path}: not there") from None
-        return pq.ParquetFile(pa.PythonFile(self._place.open(name), mode="r"))
+        if footer is None:
+            # Reading a footer of a thousand row groups takes longer than reading one of these.
+            while len(self._footers) >= _MOST_FOOTERS:
+                self._footers.pop(next(iter(self._footers)), None)
+            self._footers[name] = file.metadata
+        return file
 
     def is_intact(self, name: str) -> bool:
         """Whether the bytes of a shard still have the hash that names it."""
