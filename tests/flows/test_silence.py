@@ -9,53 +9,6 @@ import pytest
 
 CHECKOUT = Path(__file__).resolve().parents[2]
 
-# Every Python process reads this as it starts, servers that Prefect starts included.
-TRAP = """
-import ipaddress
-import os
-import socket
-
-
-def is_here(host):
-    if host in (None, "", "localhost", socket.gethostname()):
-        return True
-    try:
-        address = ipaddress.ip_address(host)
-    except ValueError:
-        return False
-    return address.is_loopback or address.is_unspecified
-
-
-def caught(host):
-    if isinstance(host, bytes):
-        host = host.decode()
-    if is_here(host):
-        return False
-    with open(os.environ["TRAP_FILE"], "a") as file:
-        file.write(f"{host}\\n")
-    return True
-
-
-def trapped(function, host_of):
-    def call(*arguments, **options):
-        if caught(host_of(arguments)):
-            raise OSError("caught: this machine only")
-        return function(*arguments, **options)
-
-    return call
-
-
-class Socket(socket.socket):
-    def connect(self, address):
-        if self.family in (socket.AF_INET, socket.AF_INET6) and caught(address[0]):
-            raise OSError("caught: this machine only")
-        return super().connect(address)
-
-
-socket.socket = Socket
-socket.getaddrinfo = trapped(socket.getaddrinfo, lambda arguments: arguments[0])
-"""
-
 FLOW = """
 import asyncio
 import sys
@@ -67,21 +20,14 @@ asyncio.run(ingest(sys.argv[1], store=sys.argv[2], workers=1))
 
 
 @pytest.fixture
-def trapped(tmp_path):
+def trapped(trap, tmp_path):
     """Runs Python so that whatever it or its children reach for outside is written down."""
-    (tmp_path / "trap").mkdir()
-    (tmp_path / "trap" / "sitecustomize.py").write_text(TRAP)
-    found = tmp_path / "reached"
+    variables, reached = trap
 
-    def run(code, *arguments, **variables):
+    def run(code, *arguments):
         environment = {key: value for key, value in os.environ.items() if not key.startswith("PREFECT_")}
         environment.pop("DO_NOT_TRACK", None)
-        environment |= {
-            "PYTHONPATH": os.pathsep.join(map(str, (tmp_path / "trap", CHECKOUT / "src", CHECKOUT))),
-            "TRAP_FILE": str(found),
-            "PREFECT_HOME": str(tmp_path / "home"),
-            **variables,
-        }
+        environment |= variables | {"PREFECT_HOME": str(tmp_path / "home")}
         done = subprocess.run(
             [sys.executable, "-c", code, *map(str, arguments)],
             check=False,
@@ -91,7 +37,7 @@ def trapped(tmp_path):
             text=True,
             timeout=400,
         )
-        return done, found.read_text().split() if found.exists() else []
+        return done, reached()
 
     return run
 
