@@ -3,9 +3,9 @@
 Two processes at a time work on one store: they ingest, segment, learn and publish a domain, compact and
 sweep, over and over, each time with other parameters so that there is something to do. Both are killed
 (SIGKILL): half of them after a random time, half at a random point of their own: the n-th time that they
-open, rename, link or remove a file of the store. After each kill the store is held against itself and against what
-the killed processes had said was done. In the end, undisturbed, one more pass must give what it gives in a
-store of its own.
+open, rename, link or remove a file of the store. After each kill the store is held against itself and
+against what the killed processes had said was done. In the end, undisturbed, one more pass must give what it
+gives in a store of its own.
 
     python benchmarks/kills.py --kills 200
 """
