@@ -1,9 +1,12 @@
 """A case folder becomes a domain file; what is wrong in it is told, and the rest is learned from."""
 
+import json
 import random
 
 import pytest
+from typer.testing import CliRunner
 
+from demoplan.cli.main import app
 from demoplan.errors import PddlError, UsageError
 from demoplan.language.pddl import parse_domain
 from demoplan.pipeline.learn_traces import learn_traces
@@ -126,3 +129,29 @@ def test_a_domain_that_is_none_is_refused(case, tmp_path):
     (case / "domain.pddl").write_text("hello")
     with pytest.raises(PddlError, match=r"domain\.pddl: line 1, column 1: expected"):
         learn_traces(case, tmp_path / "out.pddl")
+
+
+def test_the_command_tells_how_sure_each_literal_is_and_how_noisy_the_traces_are(case, tmp_path):
+    told = CliRunner().invoke(app, ["learn-traces", "--json", str(case), str(tmp_path / "out.pddl")])
+    assert told.exit_code == 0
+    said = json.loads(told.stdout)
+    assert 0 < said["flip_rate"] < 0.01
+    assert set(said["flip_rates"]) == {"On", "off", "in"}
+    effects = {
+        (row["operator"], row["predicate"], row["is_positive"]): row["probability"]
+        for row in said["literals"]
+        if row["role"] == "effect"
+    }
+    assert effects.keys() == {
+        (name, predicate, is_positive)
+        for name, on in (("turnOn", True), ("turnOff", False))
+        for predicate, is_positive in (("On", on), ("off", not on))
+    }
+    assert min(effects.values()) > 0.99
+
+
+def test_the_command_says_with_its_code_that_something_was_left_out(case, tmp_path):
+    (case / "trajectories" / "9_traj").write_text("(:trajectory (:action (turnOn a hall)) (:state (On a)))")
+    told = CliRunner().invoke(app, ["learn-traces", str(case), str(tmp_path / "out.pddl")])
+    assert told.exit_code == 3
+    assert "trajectories/9_traj:1: action without a state before it" in told.stderr.replace("\n", " ")

@@ -121,7 +121,11 @@ def learn_traces(
     output: Annotated[Path, typer.Argument(help="PDDL file to write.")],
     as_json: JsonOption = False,
 ) -> None:
-    """Learn a domain from symbolic traces, noisy or not. Exit code 3 if something had to be left out."""
+    """Learn a domain from symbolic traces, noisy or not. Exit code 3 if something had to be left out.
+
+    ``--json`` gives every literal considered, with its probability and counts, and how often atoms were
+    misread, as estimated.
+    """
     from demoplan.pipeline.learn_traces import learn_traces as learn
 
     report = learn(case, output)
@@ -132,11 +136,21 @@ def learn_traces(
                 "n_transitions": report.n_transitions,
                 "unseen_actions": list(report.unseen_actions),
                 "faults": [str(fault) for fault in report.faults],
+                "flip_rate": report.denoised.flip_rate,
+                "flip_rates": {
+                    predicate: {"missed": missed, "imagined": imagined}
+                    for predicate, (missed, imagined) in report.denoised.flip_rates.items()
+                },
+                "is_settled": report.denoised.is_settled,
+                "literals": report.denoised.literals.to_dicts(),
             }
         )
     for fault in report.faults:
         say(str(fault))
-    say(f"{report.n_traces} traces, {report.n_transitions} transitions; domain written to {output}")
+    misread = f"{report.denoised.flip_rate:.1%} of the atoms misread"
+    say(
+        f"{report.n_traces} traces, {report.n_transitions} transitions, {misread}; domain written to {output}"
+    )
     raise typer.Exit(report.exit_code)
 
 
