@@ -7,6 +7,7 @@ rate and seed; what is there already is not done again.
 
 import argparse
 import json
+import random
 import statistics
 import subprocess
 import sys
@@ -78,9 +79,9 @@ def score(out: Path, domain: str, source: Path, args: argparse.Namespace) -> dic
 
 
 def table(rows: list[dict], names: list[str], rates: list[float]) -> str:
-    """Means over domains and seeds, with n and the standard error of the mean of what was solved."""
+    """Means over domains and seeds, with n, and the 95 % interval of what was solved (bootstrap)."""
     lines = [
-        "| flips | learner | n | solved | ± | syntactic F1 | applicability F1 | effects F1 | s | failed |"
+        "| flips | learner | n | solved | 95 % | syntactic F1 | applicability F1 | effects F1 | s | failed |"
     ]
     lines.append("| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |")
     grouped = defaultdict(list)
@@ -92,16 +93,24 @@ def table(rows: list[dict], names: list[str], rates: list[float]) -> str:
             if not group:
                 continue
             solved = [row["solved"] for row in group]
-            error = statistics.stdev(solved) / len(solved) ** 0.5 if len(solved) > 1 else 0.0
+            low, high = interval(solved)
             means = [statistics.fmean(row[key] for row in group) for key in MEASURES[1:-1]]
             seconds = [row["learn_s"] for row in group if row["learn_s"] is not None]
             middle = f"{statistics.median(seconds):.2f}" if seconds else "–"
             lines.append(
-                f"| {rate:.0%} | {name} | {len(group)} | {statistics.fmean(solved):.1%} | {error:.1%} | "
+                f"| {rate:.0%} | {name} | {len(group)} "
+                f"| {statistics.fmean(solved):.1%} | {low:.0%}–{high:.0%} | "
                 + " | ".join(f"{mean:.3f}" for mean in means)
                 + f" | {middle} | {len(group) - len(seconds)} |"
             )
     return "\n".join(lines)
+
+
+def interval(values: list[float], n_draws: int = 4000) -> tuple[float, float]:
+    """Where 95 % of the means of as many values lie, drawn from these with replacement."""
+    draw = random.Random(0)
+    means = sorted(statistics.fmean(draw.choices(values, k=len(values))) for _ in range(n_draws))
+    return means[round(0.025 * n_draws)], means[round(0.975 * n_draws) - 1]
 
 
 def main() -> None:

@@ -121,7 +121,7 @@ def forbidden(found: Sequence[Opportunity], params: DenoiseParams) -> dict[Candi
             [math.log(max(weight, 1e-300)) + _log_met(each, steady) for steady, weight in weights.items()]
         )
         odds = float(by_rule - by_habit) - params.forbidden_prior
-        if odds > 0:
+        if odds > 0 and n >= params.n_forbidden_min:
             why = f"avoided on {n} occasions where it held in {each.share:.0%} of the chances"
             said[each.literal] = 1 / (1 + math.exp(-min(odds, 700.0))), why
     return said

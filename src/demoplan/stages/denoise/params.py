@@ -31,6 +31,8 @@ class DenoiseParams(BeliefParams):
     forbidden_prior: float = 5.0
     """Natural logarithm of the odds against a negative condition beforehand: most that is avoided is avoided
     by habit, so that chance and habit together have to be far away."""
+    n_forbidden_min: int = 15
+    """Fewer occasions than these forbid nothing, whatever the odds: ten of one kind may all be one habit."""
     n_snapshots: int = 6
     """States per trace in which implications are looked for, evenly spaced."""
     max_snapshots: int = 600
