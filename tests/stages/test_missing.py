@@ -45,8 +45,12 @@ def problem(goal):
     return ask(DOMAIN, STACKED, OBJECTS, parse_goal(goal, DOMAIN.predicates, OBJECTS, DOMAIN.types), "p")
 
 
-def missing(goal):
-    return missing_demonstrations(DOMAIN, problem(goal), SolveParams(wall_s=20), GROUPS)
+def missing(goal, groups=GROUPS):
+    return missing_demonstrations(DOMAIN, problem(goal), SolveParams(wall_s=20), groups)
+
+
+def test_operators_themselves_say_what_is_exchanged_where_demonstrations_are_too_few_to_show_it():
+    assert [each.changes for each in missing("onTop(blue, red)", groups=())] == [(("?from", "cube"),)]
 
 
 def test_unstacking_asks_for_a_demonstration_of_taking_a_cube_from_on_top_of_another():

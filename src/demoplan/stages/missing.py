@@ -72,6 +72,7 @@ def imagine(
         params: Price.
     """
     kinds = sorted({kind for _, kind in problem.objects})
+    groups = (*groups, *_exchanges(domain))
     imagined: list[Operator] = []
     # One variable of another type first, then two: what is farther from anything shown costs more.
     latest = [(operator, -1) for operator in domain.operators]
@@ -89,6 +90,28 @@ def imagine(
         latest = following
     operators = sorted((*domain.operators, *imagined), key=lambda each: each.name)
     return replace(domain, operators=tuple(operators))
+
+
+def _exchanges(domain: Domain) -> tuple[tuple[ExclusiveGroup, str], ...]:
+    """What operators themselves exchange: a relation that begins, for a property of an object that ends.
+
+    A few demonstrations may not suffice to see that the two exclude each other.
+    """
+    found = set()
+    for operator in domain.operators:
+        type_of = {each.variable: each.type_name for each in operator.parameters}
+        for added in operator.effects:
+            if not added.is_positive or len(added.atom.arguments) < 2:
+                continue
+            for ended in operator.effects:
+                if ended.is_positive or len(ended.atom.arguments) != 1:
+                    continue
+                variable = ended.atom.arguments[0]
+                if variable == added.atom.arguments[-1] and variable in type_of:
+                    position = len(added.atom.arguments) - 1
+                    members = tuple(sorted([(added.atom.predicate, position), (ended.atom.predicate, 0)]))
+                    found.add((ExclusiveGroup(members), type_of[variable]))
+    return tuple(sorted(found))
 
 
 def _with_type(
