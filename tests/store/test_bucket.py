@@ -186,7 +186,8 @@ def command(*arguments, fails=False):
 @pytest.mark.slow
 def test_every_command_that_takes_a_store_takes_a_url(small_dataset, bucket_url, tmp_path):
     at = ("--store", bucket_url)
-    command("run", str(small_dataset[0]), *at, "--workers", "1")
+    folder, root = small_dataset
+    command("run", str(folder), "--root", str(root), *at, "--workers", "1")
     assert "0 stage runs are stale" in command("reprocess", *at).stdout
     assert '"p1-one-left"' in command("tables", *at, "--json").stdout
     assert "Reach" in command("tables", "activities", "-e", "p1-one-left", *at, "--json").stdout
