@@ -4,7 +4,6 @@ from demoplan.ids import ContentHash
 from demoplan.store.objects import ObjectStore
 from demoplan.store.records import Record, RecordStore
 
-
 _FEW = 50
 """So many questions are answered one by one: a listing of a large store takes as long as hundreds of them."""
 

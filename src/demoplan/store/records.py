@@ -100,7 +100,7 @@ class RecordStore:
 
 
 _LOOK_AGAIN_S = 2.0
-"""Whether a record is there is not asked of the listing more often than this [s]."""
+"""Whether a record is there is not asked of a bucket's listing more often than this [s]."""
 
 
 class Packs:
@@ -127,7 +127,8 @@ class Packs:
         for records in self._read.values():
             if (stage, key) in records:
                 return records[stage, key]
-        if time.monotonic() - self._looked_s < _LOOK_AGAIN_S:
+        is_costly = self._place.path("") is None
+        if is_costly and time.monotonic() - self._looked_s < _LOOK_AGAIN_S:
             return None
         self._look()
         return next((r[stage, key] for r in self._read.values() if (stage, key) in r), None)
@@ -185,6 +186,7 @@ class Packs:
             pq.write_table(table.to_arrow(compat_level=pl.CompatLevel.oldest()), draft, compression="zstd")
             name = f"{self.folder}/{hashlib.sha256(draft.read_bytes()).hexdigest()}.parquet"
             self._place.settle(draft, name)
+        self._looked_s = -_LOOK_AGAIN_S
         return name
 
 

@@ -24,7 +24,7 @@ SHARD_FORMAT = "1"
 _MOST_FOOTERS = 16
 
 _LOOK_AGAIN_S = 2.0
-"""Whether something is there is not asked of the listing more often than this [s]."""
+"""Whether something is there is not asked of the listing of a bucket more often than this [s]."""
 
 FOLDER = "shards"
 RECORDS = "records"
@@ -73,7 +73,8 @@ class Shards:
         for spots in self._spots.values():
             if content in spots:
                 return spots[content]
-        if not is_fresh and time.monotonic() - self._looked_s < _LOOK_AGAIN_S:
+        is_costly = self._place.path("") is None
+        if is_costly and not is_fresh and time.monotonic() - self._looked_s < _LOOK_AGAIN_S:
             return None
         return self.contents().get(content)
 
