@@ -276,8 +276,8 @@ class TiagoArm:
         away = float(np.linalg.norm(position_xyz_m[:2] - self._shoulder_xy_m))
         if REACH_M[0] <= away <= REACH_M[1] and z <= HIGHEST_GRASP_M:
             return (
-                f"the arm cannot hold its hand upright at ({x:.2f}, {y:.2f}, {z:.2f}) m: it is near enough, but "
-                "its joints do not turn so far to that side"
+                f"the arm cannot hold its hand upright at ({x:.2f}, {y:.2f}, {z:.2f}) m: it is near enough, "
+                "but its joints do not turn so far to that side"
             )
         return (
             f"the arm cannot hold its hand upright at ({x:.2f}, {y:.2f}, {z:.2f}) m, {away:.2f} m from its "
