@@ -252,7 +252,8 @@ def test_doctor_looks_at_a_log_or_at_the_machine(tmp_path):
 
 
 def test_a_domain_is_linted_tested_and_drawn(store, tmp_path):
-    found = demoplan("domain", "lint", "two", "--store", store, "--json")
+    folder, _ = store
+    found = demoplan("domain", "lint", "two", "--store", folder / "store", "--json")
     assert found.returncode == 0, found.stderr
     assert {"no-way-back"} <= {each["rule"] for each in json.loads(found.stdout)}
     case = tmp_path / "never.plan"
@@ -260,12 +261,17 @@ def test_a_domain_is_linted_tested_and_drawn(store, tmp_path):
         "; start: p1-one-left@end\n; goal: onTop(cube_red, cube_blue)\n; expect: invalid\n"
         "put_1(Left_hand,cube_red,table,cube_blue)\n"
     )
-    passed = demoplan("domain", "test", "two", case, "--store", store, "--json")
+    passed = demoplan("domain", "test", "two", case, "--store", folder / "store", "--json")
     assert passed.returncode == 0, passed.stderr
     assert json.loads(passed.stdout)[0]["found"] == "invalid"
     case.write_text(case.read_text().replace("expect: invalid", "expect: valid"))
-    assert demoplan("domain", "test", "two", case, "--store", store).returncode == 1
+    assert demoplan("domain", "test", "two", case, "--store", folder / "store").returncode == 1
     picture = tmp_path / "two.svg"
-    assert demoplan("domain", "graph", "two", "--out", picture, "--store", store).returncode == 0
+    assert demoplan("domain", "graph", "two", "--out", picture, "--store", folder / "store").returncode == 0
     assert picture.read_text().startswith("<svg")
-    assert demoplan("domain", "graph", "two", "--out", tmp_path / "two.gif", "--store", store).returncode == 2
+    assert (
+        demoplan(
+            "domain", "graph", "two", "--out", tmp_path / "two.gif", "--store", folder / "store"
+        ).returncode
+        == 2
+    )

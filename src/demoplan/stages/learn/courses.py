@@ -150,18 +150,19 @@ def _is_copy(data: Encoded, tracks: Tracks, chosen: Ints) -> Floats:
     track = np.repeat(np.arange(len(chosen)), length)
     step = np.arange(len(track)) - np.repeat(np.cumsum(length) - length, length)
     row = tracks.first[chosen][track] + step
-    digest = _digests(data)
     inner = step > 0
-    same = digest[2 * row[inner]] == digest[2 * row[inner] - 1]
+    same = _digests(data, 2 * row[inner]) == _digests(data, 2 * row[inner] - 1)
     weight[track[inner], step[inner]] = np.where(same, 0.0, 1.0)
     return weight
 
 
-def _digests(data: Encoded) -> NDArray[np.uint64]:
-    """A number for each state that equals another's if the states are the same."""
+def _digests(data: Encoded, states: Ints) -> NDArray[np.uint64]:
+    """A number for each of some states that equals another's if the states are the same."""
     chance = np.random.default_rng(0).integers(1, 2**63, size=len(data.atom_predicate) + 1, dtype=np.uint64)
-    sums = np.concatenate([np.zeros(1, dtype=np.uint64), np.cumsum(chance[data.true.atoms], dtype=np.uint64)])
-    return np.asarray(sums[data.true.offsets[1:]] - sums[data.true.offsets[:-1]], dtype=np.uint64)
+    owner, atom = data.true.gather(states)
+    sums = np.concatenate([np.zeros(1, dtype=np.uint64), np.cumsum(chance[atom], dtype=np.uint64)])
+    offsets = np.r_[0, np.cumsum(np.bincount(owner, minlength=len(states)))]
+    return np.asarray(sums[offsets[1:]] - sums[offsets[:-1]], dtype=np.uint64)
 
 
 def _never_read(
