@@ -45,7 +45,8 @@ def ask(
     Args:
         domain: What may be done; the state and the goal must be in its words.
         state: Ground atoms that hold; all else is false.
-        objects: Type of each instance.
+        objects: Type of each instance. Where the domain declares it of a narrower kind, that counts: it was
+            learned that it behaves unlike others.
         goal: Ground literals that shall hold.
         name: The problem's name.
 
@@ -53,6 +54,7 @@ def ask(
         UnknownNameError: If a type, predicate or object is unknown.
         DataError: If an atom has the wrong number or type of arguments, or the goal contradicts itself.
     """
+    objects = _as_declared(objects, domain)
     for type_name in objects.values():
         domain.types.require(type_name)
     initial, wanted = frozenset(state), frozenset(goal)
@@ -68,6 +70,17 @@ def ask(
         initial=initial,
         goal=wanted,
     )
+
+
+def _as_declared(objects: Mapping[str, str], domain: Domain) -> dict[str, str]:
+    """Types of instances, with those of the domain's constants where they stand beside what they replace."""
+    declared = dict(domain.constants)
+    types = {}
+    for name, kind in objects.items():
+        new = declared.get(name, kind)
+        beside = domain.types.ancestors(kind)[1:2]
+        types[name] = new if beside and domain.types.is_subtype(new, beside[0]) else kind
+    return types
 
 
 def _require_fits(atom: Atom, domain: Domain, objects: Mapping[str, str]) -> None:

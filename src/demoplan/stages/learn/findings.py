@@ -1,6 +1,6 @@
 """What learning found besides operators, as a table."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import combinations
 from math import lgamma, log
 
@@ -9,6 +9,7 @@ import numpy as np
 import polars as pl
 
 from demoplan.language.invariants import group_text
+from demoplan.stages.learn.encode import Encoded
 from demoplan.stages.learn.exclusion import Exclusion
 from demoplan.stages.learn.lift import AFTER, BEFORE, Lifted, LiftedAtom
 from demoplan.stages.learn.mend import Mended
@@ -19,21 +20,37 @@ from demoplan.tables import Findings
 _PER_DECADE = log(10.0)
 
 
-def findings_of(
-    mended: Mended, lifted: Lifted, drafts: Sequence[tuple[str, Draft]]
-) -> dy.DataFrame[Findings]:
-    """Misreadings, exclusive groups, types that split, and why operators of one activity stand apart."""
+def splits_of(data: Encoded, lifted: Lifted, drafts: Sequence[tuple[str, Draft]]) -> tuple[TypeSplit, ...]:
+    """Types whose objects behave unlike, by which operator their transitions belong to."""
     outcome = np.full(len(lifted.patterns), -1, dtype=np.int64)
     for number, (_, draft) in enumerate(drafts):
         outcome[list(draft.patterns)] = number
-    rows = [
-        *_misreadings(mended),
-        *(_exclusion(each, mended) for each in mended.exclusions),
-        *(_split(each) for each in find_splits(mended.data, lifted, outcome)),
-        *_variants(lifted, drafts),
-    ]
+    return find_splits(data, lifted, outcome)
+
+
+def findings_of(
+    mended: Mended, lifted: Lifted, drafts: Sequence[tuple[str, Draft]], splits: Sequence[TypeSplit]
+) -> dy.DataFrame[Findings]:
+    """Misreadings, exclusive groups, types that split, and why operators of one activity stand apart."""
+    return _table(
+        [
+            *_misreadings(mended),
+            *(_exclusion(each, mended) for each in mended.exclusions),
+            *(_split(each, is_applied=False) for each in splits),
+            *_variants(lifted, drafts),
+        ]
+    )
+
+
+def with_applied(findings: dy.DataFrame[Findings], splits: Sequence[TypeSplit]) -> dy.DataFrame[Findings]:
+    """Findings with the splits of types that were applied."""
+    return _table([*(_split(each, is_applied=True) for each in splits), *findings.to_dicts()])
+
+
+def _table(rows: Sequence[Mapping[str, object]]) -> dy.DataFrame[Findings]:
     table = pl.DataFrame(rows, schema=Findings.create_empty().schema)
-    return Findings.validate(table.unique(Findings.primary_key(), keep="first").sort(Findings.primary_key()))
+    unique = table.unique(Findings.primary_key(), keep="first", maintain_order=True)
+    return Findings.validate(unique.sort(Findings.primary_key()))
 
 
 def _misreadings(mended: Mended) -> Iterator[dict[str, object]]:
@@ -74,19 +91,23 @@ def _exclusion(group: Exclusion, mended: Mended) -> dict[str, object]:
     }
 
 
-def _split(split: TypeSplit) -> dict[str, object]:
+def _split(split: TypeSplit, *, is_applied: bool) -> dict[str, object]:
     verb = "moves" if split.role == "moved" else "is aimed at"
     return {
         "kind": "type",
         "subject": f"{split.type_name}: {', '.join(split.apart)}",
         "statement": f"{split.activity} goes another way where it {verb} {', '.join(split.apart)} "
         f"({split.n_apart} transitions) than where it {verb} {', '.join(split.rest)} ({split.n_rest}): "
-        f"give the former a type of their own below {split.type_name}",
+        + (
+            "the former have a type of their own"
+            if is_applied
+            else f"give the former a type of their own beside {split.type_name} (--split-types)"
+        ),
         "n_support": split.n_apart + split.n_rest,
         "n_against": 0,
         "rate": None,
         "log10_bayes_factor": split.log_bayes_factor / _PER_DECADE,
-        "is_applied": False,
+        "is_applied": is_applied,
     }
 
 

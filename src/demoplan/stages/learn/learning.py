@@ -14,15 +14,17 @@ from demoplan.language.types import TypeHierarchy
 from demoplan.stages.learn.bind import bind_arguments, bind_roles
 from demoplan.stages.learn.conditional import part_by_conditions
 from demoplan.stages.learn.encode import encode
-from demoplan.stages.learn.findings import findings_of
+from demoplan.stages.learn.findings import findings_of, splits_of, with_applied
 from demoplan.stages.learn.lift import AFTER, BEFORE, Lifted, LiftedAtom, Pattern, lift
 from demoplan.stages.learn.mend import mend
 from demoplan.stages.learn.merge import Candidate, Draft, merge, weigh
 from demoplan.stages.learn.params import LearnParams
 from demoplan.stages.learn.reach import keep_plannable
 from demoplan.stages.learn.relevance import LOGGED, TRACED
+from demoplan.stages.learn.retyping import Retyping, strongest
 from demoplan.stages.learn.settle import settle
 from demoplan.stages.learn.sound import check_balance, keep_apart, prune
+from demoplan.stages.learn.splitting import TypeSplit
 from demoplan.tables import Evidence, Findings, Literals, Operators, Transitions
 
 MAX_COST = 1_000_000
@@ -64,18 +66,70 @@ def learn(
         UnknownNameError: If a predicate or a type is unknown.
         DataError: If an atom has the wrong number of arguments, or an object has no type.
     """
+    return _learn(transitions, types, predicates, params)[0]
+
+
+MAX_SPLIT_ROUNDS = 3
+"""How often types are split again once operators were learned with those of the round before."""
+
+
+def learn_splitting_types(
+    transitions: dy.DataFrame[Transitions],
+    types: TypeHierarchy,
+    predicates: Sequence[Signature],
+    params: LearnParams = LearnParams(),
+) -> tuple[Learned, Retyping]:
+    """As :func:`learn`, with the types applied that behaviour was found to split.
+
+    Operators are learned, types are split where the evidence is strong, and operators are learned again with
+    the new types, until nothing splits any more. The findings say which splits were applied.
+
+    Args:
+        transitions: Of logs, of any number of episodes.
+        types: The hierarchy that instances' types belong to.
+        predicates: Every predicate that atoms may have.
+        params: Learning choices.
+
+    Returns:
+        What was learned, and the types, predicates and instances' types that it is in terms of.
+    """
+    retyping = Retyping.of(types, predicates)
+    applied: list[TypeSplit] = []
+    for _ in range(MAX_SPLIT_ROUNDS):
+        learned, splits = _learn(
+            retyping.transitions(transitions), retyping.types, retyping.predicates, params
+        )
+        chosen = strongest(splits)
+        if not chosen:
+            break
+        for split in chosen:
+            retyping = retyping.split(split.type_name, split.apart)
+        applied += chosen
+    else:
+        learned, _ = _learn(retyping.transitions(transitions), retyping.types, retyping.predicates, params)
+    return learned._replace(findings=with_applied(learned.findings, applied)), retyping
+
+
+def _learn(
+    transitions: dy.DataFrame[Transitions],
+    types: TypeHierarchy,
+    predicates: Sequence[Signature],
+    params: LearnParams,
+) -> tuple[Learned, tuple[TypeSplit, ...]]:
     data = encode(transitions, types, predicates)
     if data.arguments is not None:
         lifted = lift(data, bind_arguments(data, data.arguments), None, params)
         drafts = merge(lifted, types, data.predicates, params, TRACED)
-        return tables_of(drafts, data.table, data.names, lifted, params)
+        return tables_of(drafts, data.table, data.names, lifted, params), ()
     mended = mend(data, types, params.mend)
     settled = settle(mended.data, types, params)
     lifted = lift(mended.data, bind_roles(mended.data, settled, params), settled, params)
     misread_rate = mended.rates.overall if mended.is_needed else 0.0
     drafts = drafts_of_logs(lifted, types, data.predicates, params, misread_rate)
     learned = tables_of(drafts, data.table, data.names, lifted, params)
-    return learned._replace(findings=findings_of(mended, lifted, _named(drafts)))
+    named = _named(drafts)
+    splits = splits_of(mended.data, lifted, named)
+    return learned._replace(findings=findings_of(mended, lifted, named, splits)), splits
 
 
 def drafts_of_logs(
