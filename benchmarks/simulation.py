@@ -15,9 +15,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from demoplan.engines.mujoco.opening import open_session
 from demoplan.engines.mujoco.scene import cube_names
 from demoplan.engines.mujoco.scene_spec import SceneSpec, random_scene
-from demoplan.engines.mujoco.session import ROBOTS, Motion, Session, open_session
+from demoplan.engines.mujoco.session import ROBOTS, Motion, Session
 
 Moves = Sequence[tuple[str, str]]
 

@@ -12,7 +12,7 @@ from demoplan.pipeline.fetching import fetch_logs
 from demoplan.pipeline.ingest import ingest as ingest_jobs
 from demoplan.pipeline.ingest import jobs_of
 from demoplan.store import EpisodeState, Store
-from demoplan.store.places import open_place
+from demoplan.store.opening import open_place
 from flows.crews import Workplace, crew_of, workplace
 from flows.edges import EDGE
 from flows.inputs import Address, Bucket, QuietSeconds, Runner, Workers, opened, store_at

@@ -89,7 +89,7 @@ def test_a_robot_whose_package_is_missing_is_said_to_be_so(command, monkeypatch)
     def missing(*_, **__):
         raise SimulationError("robot 'tiago' needs its description; install it with: pip install …")
 
-    monkeypatch.setattr("demoplan.engines.mujoco.session.open_session", missing)
+    monkeypatch.setattr("demoplan.engines.mujoco.opening.open_session", missing)
     ended = command("-g", ONE, "--robot", "tiago")
     assert isinstance(ended.error, SimulationError)
     assert "needs its description" in ended.row["reason"]

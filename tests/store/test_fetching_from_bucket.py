@@ -1,7 +1,7 @@
 """Logs come out of a real S3 server by the interface that stores use."""
 
 from demoplan.pipeline.fetching import fetch_logs
-from demoplan.store.places import open_place
+from demoplan.store.opening import open_place
 
 
 def test_logs_come_from_a_bucket_once(bucket_url, tmp_path):

@@ -111,7 +111,7 @@ def ingest(
 def _fetch(bucket: str, root: Path, quiet_s: float) -> None:
     """Bring new logs of a bucket; say what was left there."""
     from demoplan.pipeline.fetching import Fetched, fetch_logs
-    from demoplan.store.places import open_place
+    from demoplan.store.opening import open_place
 
     def tell(log: Fetched) -> None:
         if log.refusal:
@@ -233,7 +233,7 @@ def doctor(
     raise typer.Exit(int(exit_code_of(report)))
 
 
-def _examine(store: Path, *, as_json: bool) -> Exit:
+def _examine(store: str, *, as_json: bool) -> Exit:
     """Print what of this machine stands in the way."""
     from dataclasses import asdict
 
@@ -241,7 +241,7 @@ def _examine(store: Path, *, as_json: bool) -> Exit:
     from demoplan.pipeline.environment import examine as examine_all
 
     with progress("examine", len(CHECKS)) as done:
-        findings = examine_all(Machine(environment=os.environ, store=store.absolute()), done)
+        findings = examine_all(Machine(environment=os.environ, store=Path(store).absolute()), done)
     if as_json:
         print_json([asdict(finding) for finding in findings])
     else:

@@ -40,7 +40,8 @@ from demoplan.stages.segment import (
 from demoplan.store import EpisodeState, Store, stage_key
 from demoplan.store.code_version import code_version
 from demoplan.store.objects import Table
-from demoplan.store.places import AbsentError, open_place
+from demoplan.store.opening import open_place
+from demoplan.store.places import AbsentError
 from demoplan.store.store import canonical_json
 from demoplan.tables import Activities, Confusions, Facts, Frames, Scores
 

@@ -135,7 +135,7 @@ def run_job(job: RunJob) -> str:
 
 def decide_case(job: RunJob) -> str:
     """Decide whether anybody could recover from the fault of a case, and keep it; give back its key."""
-    from demoplan.engines.mujoco.session import open_session  # noqa: PLC0415 - a heavy import, once a process
+    from demoplan.engines.mujoco.opening import open_session  # noqa: PLC0415 - a heavy import, once a process
 
     fault = job.fault
     assert fault is not None

@@ -5,8 +5,9 @@ from pathlib import Path
 from typing import Any
 
 from demoplan.engines.fast_downward import SolveParams
+from demoplan.engines.mujoco.opening import open_session
 from demoplan.engines.mujoco.scene_spec import SceneSpec, read_scene
-from demoplan.engines.mujoco.session import Session, open_session
+from demoplan.engines.mujoco.session import Session
 from demoplan.engines.rosbridge import Reply, Service
 from demoplan.errors import UsageError
 from demoplan.language.domains import Domain

@@ -11,7 +11,8 @@ from demoplan.ids import ContentHash, content_hash
 from demoplan.language.vocabulary import Vocabulary
 from demoplan.manifests.mapping import Mapping
 from demoplan.pipeline.datasets import OpenDataset
-from demoplan.store.places import AbsentError, open_place
+from demoplan.store.opening import open_place
+from demoplan.store.places import AbsentError
 
 
 @dataclass(frozen=True, kw_only=True)

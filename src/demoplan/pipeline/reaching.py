@@ -5,8 +5,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from demoplan.engines.mujoco.opening import open_session
 from demoplan.engines.mujoco.scene_spec import SceneSpec
-from demoplan.engines.mujoco.session import Session, open_session
+from demoplan.engines.mujoco.session import Session
 from demoplan.engines.mujoco.skills import SkillTable, motion_of, read_skills
 from demoplan.errors import UsageError
 from demoplan.language.domains import Domain, Plan

@@ -94,7 +94,7 @@ def carry_out(job: RunJob, film: Film | None = None) -> Executed:
     Raises:
         DemoplanError: If it cannot be started; :func:`not_started` is the row that says so.
     """
-    from demoplan.engines.mujoco.session import open_session  # noqa: PLC0415 - a heavy import, once a process
+    from demoplan.engines.mujoco.opening import open_session  # noqa: PLC0415 - a heavy import, once a process
 
     domain = parse_domain(job.domain_text)
     return execute(

@@ -124,28 +124,3 @@ class Place(Protocol):
 
     def together(self) -> AbstractContextManager[None]:
         """Make what is settled in the block durable at its end, all at once, and not one by one."""
-
-
-def open_place(location: str | Path) -> Place:
-    """The place of that path or URL; nothing is made, and nothing is asked of it yet.
-
-    Raises:
-        StoreError: If the URL is of an unknown kind, or what a bucket needs is not installed.
-    """
-    text = str(location)
-    # Either implements what is declared here; a bucket needs an extra.
-    if text.startswith(BUCKET_SCHEME):
-        from demoplan.store.bucket import Bucket  # noqa: PLC0415
-
-        return Bucket(text)
-    if "://" in text:
-        raise StoreError(f"{text}: unknown kind of store; known: a folder, {BUCKET_SCHEME}BUCKET/PREFIX")
-    from demoplan.store.folder import Folder  # noqa: PLC0415
-
-    return Folder(Path(location))
-
-
-def absolute_location(location: str | Path) -> str:
-    """The same place for processes that run in other folders: a URL as it is, a folder from the root on."""
-    text = str(location)
-    return text if "://" in text else str(Path(text).absolute())

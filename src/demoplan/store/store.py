@@ -16,7 +16,7 @@ from demoplan.store.domains import DomainStore
 from demoplan.store.index import Index
 from demoplan.store.manifest import Manifest
 from demoplan.store.objects import ObjectStore, Table
-from demoplan.store.places import open_place
+from demoplan.store.opening import open_place
 from demoplan.store.records import Packs, Record, RecordStore, schema_version, stage_key
 from demoplan.store.shards import Shards
 from demoplan.store.snapshots import Snapshots

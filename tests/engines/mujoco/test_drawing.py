@@ -9,9 +9,10 @@ from PIL import Image
 from demoplan.engines.mujoco import drawing
 from demoplan.engines.mujoco.drawing import DrawParams, require_drawing, save_picture, save_video
 from demoplan.engines.mujoco.filming import Film
+from demoplan.engines.mujoco.opening import open_session
 from demoplan.engines.mujoco.scene import cube_names
 from demoplan.engines.mujoco.scene_spec import random_scene
-from demoplan.engines.mujoco.session import Motion, open_session
+from demoplan.engines.mujoco.session import Motion
 from demoplan.errors import SimulationError, UnknownNameError, UsageError
 
 SMALL = DrawParams(width=120, height=80)

@@ -6,7 +6,7 @@ import pytest
 
 pytest.importorskip("mujoco")
 
-from demoplan.engines.mujoco.session import open_session
+from demoplan.engines.mujoco.opening import open_session
 from demoplan.errors import UsageError
 from demoplan.pipeline.datasets import open_dataset, remember
 from demoplan.pipeline.ingest import ingest, jobs_of

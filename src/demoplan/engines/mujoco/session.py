@@ -10,9 +10,7 @@ from typing import Literal, Protocol, TypeAlias
 
 import polars as pl
 
-from demoplan.engines.mujoco.filming import Film
 from demoplan.engines.mujoco.scene_spec import SceneSpec
-from demoplan.errors import UnknownNameError
 
 Vector: TypeAlias = tuple[float, float, float]
 Quaternion: TypeAlias = tuple[float, float, float, float]
@@ -274,32 +272,3 @@ class Session(Protocol):
 
 
 ROBOTS = ("gripper", "gripper_dual", "tiago", "tiago_dual")
-
-
-def open_session(
-    scene: SceneSpec,
-    robot: str = "gripper",
-    *,
-    seed: int,
-    params: SessionParams = SessionParams(),
-    film: Film | None = None,
-) -> Session:
-    """A robot at rest in a scene that has come to rest.
-
-    Args:
-        scene: What stands where.
-        robot: One of :data:`ROBOTS`.
-        seed: For everything random: sensor noise and gaps.
-        params: Sensors, skills.
-        film: Keeps what the scene looked like, if it is to be drawn.
-
-    Raises:
-        UnknownNameError: If there is no such robot.
-        SimulationError: If objects of the scene stand in each other, or the robot's description is missing.
-    """
-    if robot not in ROBOTS:
-        raise UnknownNameError("robot", robot, ROBOTS)
-    # Robots are made where they are needed: TIAGo wants packages that the light one does without.
-    from demoplan.engines.mujoco.simulated import SimulatedSession  # noqa: PLC0415
-
-    return SimulatedSession(scene, robot, seed=seed, params=params, film=film)

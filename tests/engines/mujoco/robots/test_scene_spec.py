@@ -6,6 +6,7 @@ from pydantic import ValidationError
 
 pytest.importorskip("mujoco")
 
+from demoplan.engines.mujoco.opening import open_session
 from demoplan.engines.mujoco.scene import cube_names
 from demoplan.engines.mujoco.scene_spec import (
     ObjectSpec,
@@ -15,7 +16,6 @@ from demoplan.engines.mujoco.scene_spec import (
     read_scene,
     scene_of_poses,
 )
-from demoplan.engines.mujoco.session import open_session
 from demoplan.errors import ManifestError, UnknownNameError, UsageError
 
 IDENTITY = (1.0, 0.0, 0.0, 0.0)

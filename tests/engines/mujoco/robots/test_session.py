@@ -2,6 +2,7 @@ import numpy as np
 import polars as pl
 import pytest
 
+from demoplan.engines.mujoco.opening import open_session
 from demoplan.engines.mujoco.scene import cube_names
 from demoplan.engines.mujoco.scene_spec import ObjectSpec, SceneSpec, random_scene
 from demoplan.engines.mujoco.session import (
@@ -16,7 +17,6 @@ from demoplan.engines.mujoco.session import (
     SensorBlind,
     SensorParams,
     SessionParams,
-    open_session,
 )
 from demoplan.errors import SimulationError, UnknownNameError, UsageError
 from demoplan.tables import Frames

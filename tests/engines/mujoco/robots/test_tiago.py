@@ -6,10 +6,11 @@ import pytest
 pytest.importorskip("mujoco")
 pytest.importorskip("mink", reason="needs the extra 'robot'")
 
+from demoplan.engines.mujoco.opening import open_session
 from demoplan.engines.mujoco.robots import tiago_description
 from demoplan.engines.mujoco.scene import cube_names
 from demoplan.engines.mujoco.scene_spec import ObjectSpec, SceneSpec, random_scene
-from demoplan.engines.mujoco.session import Motion, open_session
+from demoplan.engines.mujoco.session import Motion
 from demoplan.errors import SimulationError
 
 RIGHT = "Right_hand"
