@@ -36,5 +36,7 @@ class LearnParams:
     """Added cost per bit by which an operator is rarer than the commonest, or per bit of −log2(beta)."""
     mend: MendParams = field(default_factory=MendParams)
     """How misreadings are found and put right."""
+    splits_types: bool = False
+    """Whether types are split where their objects behave unlike; otherwise it is only proposed."""
     rows_per_chunk: int = 100_000
     """Transitions lifted at once: bounds memory, and changes no result."""

@@ -24,13 +24,15 @@ class Retyping:
     predicates: tuple[Signature, ...]
     type_of: tuple[tuple[str, str], ...] = ()
     """Instance and its new type, sorted."""
+    splits: tuple[tuple[str, tuple[str, ...]], ...] = ()
+    """What was split, in order: the type, and the instances that got another one."""
 
     @classmethod
     def of(
         cls,
         types: TypeHierarchy,
         predicates: Sequence[Signature],
-        splits: Iterable[tuple[str, tuple[str, ...]]] = (),
+        splits: Iterable[tuple[str, Sequence[str]]] = (),
     ) -> "Retyping":
         """Types and predicates after splits, each a type and those of its instances that get another one."""
         result = cls(types=types, predicates=tuple(predicates))
@@ -66,6 +68,7 @@ class Retyping:
                 for each in self.predicates
             ),
             type_of=tuple(sorted((dict(self.type_of) | dict.fromkeys(apart, new)).items())),
+            splits=(*self.splits, (type_name, tuple(apart))),
         )
 
     def transitions(self, transitions: dy.DataFrame[Transitions]) -> dy.DataFrame[Transitions]:
