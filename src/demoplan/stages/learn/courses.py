@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from demoplan.language.types import TypeHierarchy
-from demoplan.stages.learn.encode import NOBODY, Encoded, Ints
+from demoplan.stages.learn.encode import NOBODY, Encoded, Ints, distinct
 
 Floats = NDArray[np.float64]
 HAND_BIT, ACTED_ON_BIT, IN_HAND_BIT, RELEASED_BIT = 1, 2, 4, 8
@@ -97,7 +97,10 @@ def read_courses(
     owner, atom = data.true.gather(state)
     missing_owner, missing_atom = data.unknown.gather(state)
     n_atoms = max(len(data.atom_predicate), 1)
-    seen = np.unique(np.r_[track[owner] * n_atoms + atom, track[missing_owner] * n_atoms + missing_atom])
+    seen = _seen(
+        np.r_[track[owner] * n_atoms + atom, track[missing_owner] * n_atoms + missing_atom],
+        len(chosen) * n_atoms,
+    )
     own_track, own_atom = np.divmod(seen, n_atoms)
     predicate, arguments = data.atom_predicate[own_atom], data.atom_arguments[own_atom]
     n = len(seen)
@@ -129,6 +132,15 @@ def read_courses(
         is_unknown=is_unknown,
         kind=_kinds(data, tracks, chosen, own_track, predicate, arguments),
     )
+
+
+def _seen(keys: Ints, n_keys: int) -> Ints:
+    """Sorted, each once; by marking them where there are few kinds of them, else by sorting."""
+    if n_keys > 8 * len(keys):
+        return distinct(keys)
+    marks = np.zeros(n_keys, dtype=bool)
+    marks[keys] = True
+    return np.flatnonzero(marks)
 
 
 def _readings(tracks: Tracks, chosen: Ints) -> tuple[Ints, Ints, Ints]:

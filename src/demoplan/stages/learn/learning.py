@@ -122,13 +122,15 @@ def _learn(
         drafts = merge(lifted, types, data.predicates, params, TRACED)
         return tables_of(drafts, data.table, data.names, lifted, params), ()
     mended = mend(data, types, params.mend)
-    settled = settle(mended.data, types, params)
-    lifted = lift(mended.data, bind_roles(mended.data, settled, params), settled, params)
+    # What was read is not needed any more, and large.
+    data = mended.data
+    settled = settle(data, types, params)
+    lifted = lift(data, bind_roles(data, settled, params), settled, params)
     misread_rate = mended.rates.overall if mended.is_needed else 0.0
     drafts = drafts_of_logs(lifted, types, data.predicates, params, misread_rate)
     learned = tables_of(drafts, data.table, data.names, lifted, params)
     named = _named(drafts)
-    splits = splits_of(mended.data, lifted, named)
+    splits = splits_of(data, lifted, named)
     return learned._replace(findings=findings_of(mended, lifted, named, splits)), splits
 
 

@@ -9,7 +9,7 @@ import polars as pl
 from numpy.typing import NDArray
 
 from demoplan.stages.learn.bind import HAND, OBJECT, Bindings
-from demoplan.stages.learn.encode import NOBODY, Encoded, Ints
+from demoplan.stages.learn.encode import NOBODY, Encoded, Ints, distinct
 from demoplan.stages.learn.params import LearnParams
 from demoplan.stages.learn.settle import FREE, GAP, Settled
 
@@ -139,7 +139,7 @@ def _signatures(
     place, code = np.concatenate(places), np.concatenate(codes)
     # One number for both: sorting it sorts by place, then by code.
     span = int(code.max(initial=0)) + 1
-    place, code = np.divmod(np.unique(place * span + code), span)
+    place, code = np.divmod(distinct(place * span + code), span)
     atoms = pl.DataFrame({"place": place, "code": code}).group_by("place", maintain_order=True).agg("code")
     columns: dict[str, Ints | NDArray[np.bool_]] = {
         "place": np.arange(len(rows)),

@@ -7,6 +7,7 @@ which only one can hold are inferred together from all the data (``courses``, ``
 as they are, gaps and all.
 """
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 
 from demoplan.language.types import TypeHierarchy
 from demoplan.stages.learn.courses import Courses, Floats, Tracks, read_courses
-from demoplan.stages.learn.encode import NOBODY, Encoded, Ints, States
+from demoplan.stages.learn.encode import NOBODY, Codes, Encoded, Ints, States
 from demoplan.stages.learn.exclusion import Exclusion, find_exclusions, smooth_exclusively
 from demoplan.stages.learn.misreadings import MendParams, Rates, Smoothed, estimate, smooth_readings
 
@@ -60,21 +61,27 @@ def mend(data: Encoded, types: TypeHierarchy, params: MendParams = MendParams())
     result = Mended(data, rates, rates.overall >= params.needed_rate, nothing, nothing, nothing, exclusions)
     if not result.is_needed:
         return result
-    changes = _Changes(n_predicates, float(np.log(params.sure / (1 - params.sure))))
-    for chosen in tracks.chunks(params.steps_per_chunk, courses.n / max(len(sample), 1)):
+    sure_log_odds = float(np.log(params.sure / (1 - params.sure)))
+
+    def mended(chosen: Ints) -> _Changes:
         own = read_courses(data, tracks, chosen, types, is_complete=False)
         believed = smooth_exclusively(data, tracks, chosen, own, rates, exclusions, params)
-        changes.add(own, believed, tracks, chosen)
+        return _changes(own, believed, tracks, chosen, n_predicates, sure_log_odds)
+
+    chunks = list(tracks.chunks(params.steps_per_chunk, courses.n / max(len(sample), 1)))
+    # Threads are enough: arrays are worked on without the interpreter.
+    with ThreadPoolExecutor(params.n_threads) as pool:
+        changes = list(pool.map(mended, chunks))
     return replace(
         result,
         data=replace(
             data,
-            true=changes.states(data, tracks),
-            unknown=_joined(data.unknown, changes.doubts(data, tracks)),
+            true=_states([each.held for each in changes], data.n),
+            unknown=_joined(data.unknown, _states([each.doubted for each in changes], data.n)),
         ),
-        n_read=changes.n_read,
-        n_to_true=changes.n_to_true,
-        n_to_false=changes.n_to_false,
+        n_read=np.sum([each.n_read for each in changes], axis=0),
+        n_to_true=np.sum([each.n_to_true for each in changes], axis=0),
+        n_to_false=np.sum([each.n_to_false for each in changes], axis=0),
     )
 
 
@@ -100,67 +107,99 @@ def _sample(data: Encoded, tracks: Tracks, types: TypeHierarchy, params: MendPar
     return np.asarray(fitting[::step])
 
 
+@dataclass(frozen=True)
 class _Changes:
-    """Collects mended courses; then makes states of them."""
+    """What came of some tracks; counts by predicate."""
 
-    def __init__(self, n_predicates: int, sure_log_odds: float) -> None:
-        self._sure_log_odds = sure_log_odds
-        self.n_read, self.n_to_true, self.n_to_false = (np.zeros(n_predicates) for _ in range(3))
-        self._held: list[tuple[Ints, Ints, Ints]] = []
-        self._doubted: list[tuple[Ints, Ints, Ints]] = []
-
-    def add(self, courses: Courses, believed: Smoothed, tracks: Tracks, chosen: Ints) -> None:
-        length = tracks.length[chosen][courses.track]
-        is_read = (courses.n_true + courses.n_false) > 0
-        is_true = (believed.log_odds > 0) & is_read
-        was_true = courses.n_true > courses.n_false
-        n = len(self.n_read)
-
-        def counted(cells: NDArray[np.bool_]) -> Floats:
-            return np.asarray(np.bincount(courses.predicate, cells.sum(axis=1), n), dtype=np.float64)
-
-        self.n_read += counted(is_read)
-        self.n_to_true += counted(is_true & ~was_true & is_read)
-        self.n_to_false += counted(~is_true & was_true & is_read)
-        within = np.arange(is_true.shape[1]) <= length[:, None]
-        self._held.append(_cells(courses, chosen, is_true & within))
-        is_doubted = (np.abs(believed.log_odds) < self._sure_log_odds) & is_read & within
-        self._doubted.append(_cells(courses, chosen, is_doubted))
-
-    def states(self, data: Encoded, tracks: Tracks) -> States:
-        """The atoms that are likelier true than not."""
-        return _as_states(self._held, data, tracks)
-
-    def doubts(self, data: Encoded, tracks: Tracks) -> States:
-        """The atoms of which neither is sure."""
-        return _as_states(self._doubted, data, tracks)
+    n_read: Floats
+    n_to_true: Floats
+    n_to_false: Floats
+    held: "_Atoms"
+    """Those that are likelier true than not."""
+    doubted: "_Atoms"
+    """Those of which neither is sure."""
 
 
-def _cells(courses: Courses, chosen: Ints, is_chosen: NDArray[np.bool_]) -> tuple[Ints, Ints, Ints]:
-    """Track, time and atom of the chosen cells of courses."""
+@dataclass(frozen=True)
+class _Atoms:
+    """Atoms of some states, those of one state together."""
+
+    states: Codes
+    """Ascending."""
+    counts: Codes
+    atoms: Codes
+
+
+def _changes(
+    courses: Courses,
+    believed: Smoothed,
+    tracks: Tracks,
+    chosen: Ints,
+    n_predicates: int,
+    sure_log_odds: float,
+) -> _Changes:
+    length = tracks.length[chosen][courses.track]
+    is_read = (courses.n_true + courses.n_false) > 0
+    is_true = (believed.log_odds > 0) & is_read
+    was_true = courses.n_true > courses.n_false
+    within = np.arange(is_true.shape[1]) <= length[:, None]
+    is_doubted = (np.abs(believed.log_odds) < sure_log_odds) & is_read & within
+
+    def counted(cells: NDArray[np.bool_]) -> Floats:
+        n_cells = np.bincount(courses.predicate, cells.sum(axis=1), n_predicates)
+        return np.asarray(n_cells, dtype=np.float64)
+
+    return _Changes(
+        n_read=counted(is_read),
+        n_to_true=counted(is_true & ~was_true & is_read),
+        n_to_false=counted(~is_true & was_true & is_read),
+        held=_atoms(courses, tracks, chosen, is_true & within),
+        doubted=_atoms(courses, tracks, chosen, is_doubted),
+    )
+
+
+def _atoms(courses: Courses, tracks: Tracks, chosen: Ints, is_chosen: NDArray[np.bool_]) -> _Atoms:
+    """The chosen cells of courses: each time's, given to what ends a row and to what begins the next."""
     course, time = np.nonzero(is_chosen)
     has_atom = courses.atom[course] != NOBODY
     course, time = course[has_atom], time[has_atom]
-    return chosen[courses.track[course]], time.astype(np.int64), courses.atom[course]
-
-
-def _as_states(cells: list[tuple[Ints, Ints, Ints]], data: Encoded, tracks: Tracks) -> States:
-    """Every time's atoms, given to the state that ends a row and to the one that begins the next."""
-    track, time, atom = (np.concatenate([each[place] for each in cells]) for place in range(3))
+    atom, track = courses.atom[course], chosen[courses.track[course]]
     row = tracks.first[track] + time
     after = np.flatnonzero(time > 0)
     before = np.flatnonzero(time < tracks.length[track])
-    return _states(np.r_[2 * (row[after] - 1) + 1, 2 * row[before]], np.r_[atom[after], atom[before]], data.n)
+    state = np.r_[2 * (row[after] - 1) + 1, 2 * row[before]]
+    span = int(courses.atom.max(initial=0)) + 1
+    # One number for both: sorting it sorts by state, then by atom.
+    state, atom = np.divmod(np.sort(state * span + np.r_[atom[after], atom[before]]), span)
+    first = np.flatnonzero(np.r_[True, state[1:] != state[:-1]][: len(state)])
+    return _Atoms(
+        state[first].astype(np.int32),
+        np.diff(np.r_[first, len(state)]).astype(np.int32),
+        atom.astype(np.int32),
+    )
+
+
+def _states(parts: list[_Atoms], n: int) -> States:
+    """The parts' atoms as states of ``n`` transitions; no state is in two parts."""
+    counts = np.zeros(2 * n, dtype=np.int64)
+    for part in parts:
+        counts[part.states] = part.counts
+    offsets = np.r_[np.zeros(1, dtype=np.int64), np.cumsum(counts)]
+    atoms = np.empty(int(offsets[-1]), dtype=np.int32)
+    for part in parts:
+        own = part.counts.astype(np.int64)
+        position = np.repeat(offsets[part.states] - (np.cumsum(own) - own), own)
+        position += np.arange(len(position))
+        atoms[position] = part.atoms
+    return States(offsets, atoms)
 
 
 def _joined(one: States, other: States) -> States:
+    """The atoms of both, state by state."""
     n = len(one.offsets) - 1
     every = np.arange(n)
     first, second = one.gather(every), other.gather(every)
-    return _states(np.r_[first[0], second[0]], np.r_[first[1], second[1]], n // 2)
-
-
-def _states(state: Ints, atom: Ints, n: int) -> States:
+    state, atom = np.r_[first[0], second[0]], np.r_[first[1], second[1]]
     order = np.lexsort((atom, state))
-    counts = np.bincount(state, minlength=2 * n)
-    return States(np.r_[np.zeros(1, dtype=np.int64), np.cumsum(counts)], atom[order])
+    counts = np.bincount(state, minlength=n)
+    return States(np.r_[np.zeros(1, dtype=np.int64), np.cumsum(counts)], atom[order].astype(np.int32))

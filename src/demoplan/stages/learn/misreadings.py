@@ -47,8 +47,10 @@ class MendParams:
     """Rounds of telling the members of a group that only one of them holds."""
     max_sample_steps: int = 400_000
     """Steps of courses that rates are estimated from: bounds time and memory."""
-    steps_per_chunk: int = 2_000_000
-    """Steps of courses that are mended at once: bounds memory."""
+    steps_per_chunk: int = 1_000_000
+    """Steps of courses that each thread mends at once: bounds memory, and changes no result."""
+    n_threads: int = 2
+    """Threads that mend; their number changes no result."""
     exclusion_log_odds: float = 4.0
     """Natural logarithm of the Bayes factor from which a group of atoms is taken to exclude each other: some
     hundred groups are looked at."""
