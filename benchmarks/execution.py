@@ -25,9 +25,9 @@ import polars as pl
 from demoplan.manifests.faults import read_faults
 from demoplan.manifests.goals import read_goals
 from demoplan.pipeline.datasets import recall
-from demoplan.pipeline.evaluate import RUN_STAGE, evaluate, jobs_of
-from demoplan.pipeline.execute import MONITORS
-from demoplan.pipeline.learning import stored_domain
+from demoplan.pipeline.domains.learning import stored_domain
+from demoplan.pipeline.execution.evaluate import RUN_STAGE, evaluate, jobs_of
+from demoplan.pipeline.execution.execute import MONITORS
 from demoplan.stages.score_runs import fault_confusion, score_runs
 from demoplan.store import Store
 

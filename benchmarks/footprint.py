@@ -40,9 +40,9 @@ def kinds(store: Path) -> dict[str, tuple[int, int]]:
 def build(folder: Path, n_episodes: int) -> tuple[Path, dict[str, float]]:
     """A store of so many episodes, and what making it took, by CPU."""
     import synthetic
-    from demoplan.pipeline import activities, ingest
     from demoplan.pipeline.datasets import open_dataset
-    from demoplan.pipeline.learning import learn_domain
+    from demoplan.pipeline.domains.learning import learn_domain
+    from demoplan.pipeline.episodes import activities, ingest
     from demoplan.store import Store
 
     synthetic.write_dataset(folder, n_episodes, "synthetic")

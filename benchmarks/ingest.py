@@ -52,7 +52,7 @@ def opened_dataset():
 
 def train(path: Path) -> None:
     """The segmenter that `demoplan segmenter train` gives: one tree, fitted to all twelve episodes."""
-    from demoplan.pipeline.activities import train_on
+    from demoplan.pipeline.episodes.activities import train_on
     from demoplan.store import Store
 
     with tempfile.TemporaryDirectory() as folder:
@@ -122,7 +122,7 @@ def lengthen(log_format: str, path: Path, minutes: float) -> None:
 
 
 def job_of(opened, store, episode, log: Path | None):
-    from demoplan.pipeline.ingest import jobs_of
+    from demoplan.pipeline.episodes.ingest import jobs_of
 
     (job,) = jobs_of(opened, store, [episode])
     if log is None:
@@ -132,7 +132,7 @@ def job_of(opened, store, episode, log: Path | None):
 
 def measure(log_format: str, segmenter: Path, log: Path | None, n_runs: int) -> Iterator[dict[str, float]]:
     """CPU seconds by stage, of several runs into empty stores."""
-    from demoplan.pipeline import activities, ingest
+    from demoplan.pipeline.episodes import activities, ingest
     from demoplan.store import Store
 
     opened = opened_dataset()

@@ -24,10 +24,10 @@ from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 
-from demoplan.pipeline.activities import rules, segment_episodes, usable
 from demoplan.pipeline.datasets import open_dataset
-from demoplan.pipeline.ingest import ingest, jobs_of
-from demoplan.pipeline.learning import learn_domain
+from demoplan.pipeline.domains.learning import learn_domain
+from demoplan.pipeline.episodes.activities import rules, segment_episodes, usable
+from demoplan.pipeline.episodes.ingest import ingest, jobs_of
 from demoplan.store import Store
 from demoplan.store.compacting import compact
 from demoplan.store.sweeping import sweep

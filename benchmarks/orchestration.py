@@ -30,7 +30,7 @@ sys.path[:0] = [str(ROOT), str(ROOT / "src")]
 DATASET = ROOT / "datasets" / "cube-stacking"
 RUNNERS = ("processes", "threads", "dask", "ray")
 IN_ORDER = 16
-"""Episodes of one order; as many as `demoplan.pipeline.ingest` puts into one of a large dataset."""
+"""Episodes of one order; as many as `demoplan.pipeline.episodes.ingest` puts into one of a large dataset."""
 
 
 def cpu_s() -> float:
@@ -56,8 +56,8 @@ def timed(into: dict[str, float]) -> Iterator[None]:
 
 def orders_of(store: Path, n: int) -> list[tuple[Any, ...]]:
     """Orders of sixteen episodes each, the shipped ones again and again."""
-    from demoplan.pipeline import ingest
     from demoplan.pipeline.datasets import open_dataset
+    from demoplan.pipeline.episodes import ingest
     from demoplan.store import Store
 
     given: list[Any] = []
@@ -76,8 +76,8 @@ def orders_of(store: Path, n: int) -> list[tuple[Any, ...]]:
 
 def work_s(n: int) -> list[float]:
     """Processor seconds of doing an order, with segmentation, without anybody to orchestrate it."""
-    from demoplan.pipeline import activities, ingest
     from demoplan.pipeline.datasets import open_dataset
+    from demoplan.pipeline.episodes import activities, ingest
     from demoplan.store import Store
 
     opened = open_dataset(DATASET)

@@ -110,10 +110,10 @@ def peak_mib() -> float:
 
 def first_run(folder: Path) -> dict[str, float]:
     """Logs to transitions, then the domain, in a store that is empty."""
-    from demoplan.pipeline.activities import rules, segment_episodes
     from demoplan.pipeline.datasets import open_dataset, remember
-    from demoplan.pipeline.ingest import ingest, jobs_of
-    from demoplan.pipeline.learning import learn_domain
+    from demoplan.pipeline.domains.learning import learn_domain
+    from demoplan.pipeline.episodes.activities import rules, segment_episodes
+    from demoplan.pipeline.episodes.ingest import ingest, jobs_of
     from demoplan.store import Store
 
     store, crew = Store(folder / "store"), MeasuringCrew(N_CORES)
@@ -210,9 +210,9 @@ def count_all(n_activities: int, way: str) -> dict[str, float]:
     """Time and memory of aggregating operator counts over so many activities, or of learning at once."""
     import polars as pl
 
-    from demoplan.pipeline.activities import rules, segment_episodes, tables_of
     from demoplan.pipeline.datasets import open_dataset
-    from demoplan.pipeline.ingest import ingest, jobs_of
+    from demoplan.pipeline.episodes.activities import rules, segment_episodes, tables_of
+    from demoplan.pipeline.episodes.ingest import ingest, jobs_of
     from demoplan.stages.learn import counting, learn
     from demoplan.store import Store
     from demoplan.tables import Patterns, Sightings, Transitions

@@ -8,8 +8,8 @@ from prefect import flow, task
 from pydantic import Field
 
 from demoplan.pipeline.datasets import OpenDataset
+from demoplan.pipeline.execution.simulate import Batch, Simulated, keep_report, simulate
 from demoplan.pipeline.run import RunResult, run
-from demoplan.pipeline.simulate import Batch, Simulated, keep_report, simulate
 from demoplan.store import Store
 from flows.crews import Workplace, crew_of, workplace
 from flows.edges import EDGE

@@ -6,11 +6,11 @@ from pathlib import Path
 from prefect import flow, task
 from prefect.logging import get_run_logger
 
-from demoplan.pipeline.arrivals import ArrivalParams, enrol, find_arrivals
 from demoplan.pipeline.datasets import OpenDataset, remember
-from demoplan.pipeline.fetching import fetch_logs
-from demoplan.pipeline.ingest import ingest as ingest_jobs
-from demoplan.pipeline.ingest import jobs_of
+from demoplan.pipeline.episodes.arrivals import ArrivalParams, enrol, find_arrivals
+from demoplan.pipeline.episodes.fetching import fetch_logs
+from demoplan.pipeline.episodes.ingest import ingest as ingest_jobs
+from demoplan.pipeline.episodes.ingest import jobs_of
 from demoplan.store import EpisodeState, Store
 from demoplan.store.opening import open_place
 from flows.crews import Workplace, crew_of, workplace

@@ -6,7 +6,7 @@ from pathlib import Path
 from prefect import flow, task
 
 from demoplan.pipeline.datasets import OpenDataset
-from demoplan.pipeline.versions import NewVersion, learn_version
+from demoplan.pipeline.upkeep.versions import NewVersion, learn_version
 from demoplan.store import Store
 from flows.crews import Workplace, crew_of, workplace
 from flows.edges import EDGE

@@ -6,9 +6,9 @@ import os
 from prefect import flow, task
 from prefect.artifacts import acreate_markdown_artifact
 
-from demoplan.pipeline.reprocess import Reprocessed
-from demoplan.pipeline.reprocess import reprocess as run_again
-from demoplan.pipeline.staleness import StalePlan, find_stale, selected, total_cost_s
+from demoplan.pipeline.upkeep.reprocess import Reprocessed
+from demoplan.pipeline.upkeep.reprocess import reprocess as run_again
+from demoplan.pipeline.upkeep.staleness import StalePlan, find_stale, selected, total_cost_s
 from demoplan.store import Store
 from flows.crews import Workplace, crew_of, workplace
 from flows.edges import EDGE

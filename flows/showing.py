@@ -13,9 +13,9 @@ from prefect.artifacts import (
 )
 
 from demoplan.language.diff import Change
+from demoplan.pipeline.domains.study import Tried
 from demoplan.pipeline.run import RunResult
-from demoplan.pipeline.study import Tried
-from demoplan.pipeline.versions import NewVersion
+from demoplan.pipeline.upkeep.versions import NewVersion
 from demoplan.store import EpisodeState, Store
 
 MOST_CAUSES = 10

@@ -4,7 +4,7 @@ from pathlib import Path
 
 from prefect.artifacts import acreate_link_artifact, acreate_table_artifact
 
-from demoplan.pipeline.evaluate import Evaluation
+from demoplan.pipeline.execution.evaluate import Evaluation
 from demoplan.viewers.report.execution import run_matrices
 from flows.showing import key_of
 

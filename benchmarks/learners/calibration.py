@@ -42,7 +42,7 @@ def main() -> None:
     parser.add_argument("--source", type=Path, required=True, help="where run.py took its traces from")
     parser.add_argument("--rates", default="00,01,05,10,20", help="as in the names of cases")
     args = parser.parse_args()
-    from demoplan.pipeline.learn_traces import learn_traces  # noqa: PLC0415
+    from demoplan.pipeline.domains.learn_traces import learn_traces  # noqa: PLC0415
 
     false: dict[str, dict] = {}
     print("| flips | what | " + " | ".join(_label(n) for n in range(len(BINS) - 1)) + " | error |")

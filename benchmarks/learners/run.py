@@ -31,7 +31,7 @@ def learn(name: str, case: Path, out: Path, rate: float, peers_python: Path, lim
         out.write_text(vote(case))
         return time.perf_counter() - start
     if name == "demoplan":
-        from demoplan.pipeline.learn_traces import learn_traces  # noqa: PLC0415
+        from demoplan.pipeline.domains.learn_traces import learn_traces  # noqa: PLC0415
 
         report = learn_traces(case, out)
         return report.read_s + report.learn_s

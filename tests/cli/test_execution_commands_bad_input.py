@@ -30,7 +30,7 @@ def command(tmp_path, monkeypatch):
     learned = SimpleNamespace(domain=parse_domain(text), text=text, version=version)
     path = CHECKOUT / "schemas/vocabularies/tabletop.yaml"
     known = SimpleNamespace(vocabulary=parse_vocabulary(path.read_text(), path))
-    monkeypatch.setattr("demoplan.pipeline.learning.stored_domain", lambda *_: learned)
+    monkeypatch.setattr("demoplan.pipeline.domains.learning.stored_domain", lambda *_: learned)
     monkeypatch.setattr("demoplan.pipeline.datasets.recall", lambda *_: known)
     Store(tmp_path)
 

@@ -21,7 +21,7 @@ DYING = """
 import os
 from pathlib import Path
 
-from demoplan.pipeline.ingest import ingest_group
+from demoplan.pipeline.episodes.ingest import ingest_group
 
 
 def dying_ingest(orders):
@@ -138,7 +138,7 @@ def test_a_cluster_gives_the_bytes_of_a_local_run_though_workers_are_killed(
     from prefect.flows import load_flow_from_entrypoint
 
     from demoplan.pipeline.datasets import open_dataset
-    from demoplan.pipeline.ingest import ingest, jobs_of
+    from demoplan.pipeline.episodes.ingest import ingest, jobs_of
     from demoplan.store import Store
 
     (tmp_path / "dying.py").write_text(DYING)

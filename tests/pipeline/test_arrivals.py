@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 
 from demoplan.errors import UsageError
-from demoplan.pipeline.arrivals import Arrival, ArrivalParams, enrol, find_arrivals
 from demoplan.pipeline.datasets import open_dataset
+from demoplan.pipeline.episodes.arrivals import Arrival, ArrivalParams, enrol, find_arrivals
 
 CHECKOUT = Path(__file__).resolve().parents[2]
 LATER_S = 3600.0

@@ -7,8 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from demoplan.pipeline import activities, counting, ingest
 from demoplan.pipeline.datasets import open_dataset
+from demoplan.pipeline.domains import counting
+from demoplan.pipeline.episodes import activities, ingest
 from demoplan.stages.learn import LearnParams, learn
 from demoplan.stages.learn.counting import count, grip_votes, ranks, sight, support_votes
 from demoplan.store import EpisodeState, Store

@@ -7,7 +7,7 @@ import pytest
 
 from demoplan.errors import UsageError
 from demoplan.language.pddl import parse_domain
-from demoplan.pipeline.domain_quality import read_case, run_cases
+from demoplan.pipeline.domains.domain_quality import read_case, run_cases
 
 DOMAIN = parse_domain(
     (Path(__file__).parents[1] / "golden" / "planning" / "stacking-domain.pddl").read_text()
@@ -52,7 +52,7 @@ def result_of(path):
 
 def solution(case):
     from demoplan.engines.fast_downward import solve
-    from demoplan.pipeline.planning import problem_of, start_of
+    from demoplan.pipeline.domains.planning import problem_of, start_of
 
     start = start_of(read_case(case(HEAD)).start, None, DOMAIN)
     return solve(DOMAIN, problem_of(DOMAIN, start, "onTop(a, b)")).plan.steps

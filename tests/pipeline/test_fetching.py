@@ -5,7 +5,7 @@ import hashlib
 import pytest
 
 from demoplan.errors import StoreError
-from demoplan.pipeline.fetching import fetch_logs
+from demoplan.pipeline.episodes.fetching import fetch_logs
 from demoplan.store.folder import Folder
 from demoplan.store.places import Entry
 

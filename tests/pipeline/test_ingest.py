@@ -11,9 +11,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from demoplan.pipeline import activities, episode_stages, ingest, seen
 from demoplan.pipeline.datasets import open_dataset
-from demoplan.pipeline.segment_stages import CONTRAST
+from demoplan.pipeline.episodes import activities, episode_stages, ingest, seen
+from demoplan.pipeline.episodes.segment_stages import CONTRAST
 from demoplan.stages.contrast import contrast
 from demoplan.store import Store
 from demoplan.tables import Activities, Facts, Transitions

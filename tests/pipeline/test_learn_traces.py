@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 from demoplan.cli.main import app
 from demoplan.errors import PddlError, UsageError
 from demoplan.language.pddl import parse_domain
-from demoplan.pipeline.learn_traces import learn_traces
+from demoplan.pipeline.domains.learn_traces import learn_traces
 
 DOMAIN = """(define (domain Switches) (:requirements :strips :typing) (:types Switch room - object)
 (:predicates (On ?s - Switch) (off ?s - Switch) (in ?s - Switch ?r - room))

@@ -9,7 +9,7 @@ import demoplan
 
 PROBE = """
 import resource, numpy as np
-from demoplan.pipeline.memory import keep_memory
+from demoplan.pipeline.episodes.memory import keep_memory
 kept = {kept} and keep_memory() and keep_memory()
 np.ones(3_000_000)
 before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt

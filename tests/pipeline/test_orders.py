@@ -6,9 +6,9 @@ from pathlib import Path
 import pytest
 
 from demoplan.errors import StoreError
-from demoplan.pipeline import ingest as ingesting
 from demoplan.pipeline.datasets import open_dataset
-from demoplan.pipeline.orders import setting_of
+from demoplan.pipeline.episodes import ingest as ingesting
+from demoplan.pipeline.episodes.orders import setting_of
 from demoplan.store import Store
 
 DATASET = Path(__file__).resolve().parents[2] / "datasets" / "cube-stacking"
@@ -67,7 +67,7 @@ def test_a_setting_that_was_changed_or_is_not_there_is_refused(job, tmp_path):
 
 
 def test_segmenting_by_order_gives_what_segmenting_here_gives(job, tmp_path, monkeypatch):
-    from demoplan.pipeline import activities
+    from demoplan.pipeline.episodes import activities
 
     opened = open_dataset(DATASET)
     state = ingesting.ingest_episode(job)
@@ -94,7 +94,7 @@ def test_segmenting_by_order_gives_what_segmenting_here_gives(job, tmp_path, mon
 
 
 def test_a_segmenter_that_changed_after_the_order_was_given_is_refused(job, tmp_path):
-    from demoplan.pipeline import activities
+    from demoplan.pipeline.episodes import activities
 
     order = activities.SegmentOrder(
         store=str(tmp_path),

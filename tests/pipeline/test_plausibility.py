@@ -4,7 +4,7 @@ import pytest
 
 from demoplan.manifests.mapping import GripTopic, PoseTopic
 from demoplan.pipeline.datasets import open_dataset
-from demoplan.pipeline.ingest import ingest_episode, jobs_of
+from demoplan.pipeline.episodes.ingest import ingest_episode, jobs_of
 from demoplan.store import Store
 
 
@@ -34,7 +34,7 @@ def test_metres_that_are_mapped_as_millimetres_are_noticed(job):
 def test_positions_beyond_anyones_reach_are_noticed_with_the_unit_that_they_seem_to_have(job):
     from demoplan.errors import DataError
     from demoplan.logs import read
-    from demoplan.pipeline.plausibility import PlausibilityParams, refuse_implausible
+    from demoplan.pipeline.episodes.plausibility import PlausibilityParams, refuse_implausible
 
     reading = read(job.log, job.mapping, job.episode.id)
     with pytest.raises(DataError, match=r"farther than anything .* `unit: cm`"):

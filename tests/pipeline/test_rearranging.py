@@ -34,7 +34,7 @@ def test_what_is_learned_from_it_executes_every_goal_beyond_the_study(tmp_path):
     pytest.importorskip("mujoco")
     from demoplan.manifests.goals import read_goals
     from demoplan.pipeline.datasets import open_dataset
-    from demoplan.pipeline.evaluate import evaluate, jobs_of
+    from demoplan.pipeline.execution.evaluate import evaluate, jobs_of
     from demoplan.pipeline.run import run
     from demoplan.store import Store
 

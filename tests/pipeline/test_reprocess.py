@@ -9,10 +9,10 @@ import pytest
 
 from demoplan.errors import UsageError
 from demoplan.pipeline.datasets import open_dataset, recall, reopen
-from demoplan.pipeline.reprocess import reprocess
 from demoplan.pipeline.run import run
-from demoplan.pipeline.staleness import find_stale, selected, total_cost_s
-from demoplan.pipeline.versions import learn_version
+from demoplan.pipeline.upkeep.reprocess import reprocess
+from demoplan.pipeline.upkeep.staleness import find_stale, selected, total_cost_s
+from demoplan.pipeline.upkeep.versions import learn_version
 from demoplan.store import Store
 
 CHECKOUT = Path(__file__).resolve().parents[2]
@@ -246,7 +246,8 @@ def test_a_log_that_failed_is_not_tried_again_until_something_changed(lab):
 
 
 def test_a_changed_table_declaration_is_told_apart_from_changed_code(lab, monkeypatch):
-    from demoplan.pipeline import episode_stages, reasons, segment_stages, staleness
+    from demoplan.pipeline.episodes import episode_stages, segment_stages
+    from demoplan.pipeline.upkeep import reasons, staleness
 
     _, store = lab
     for module in (staleness, episode_stages, segment_stages):

@@ -11,7 +11,7 @@ import polars as pl
 import pytest
 
 from demoplan.pipeline.datasets import open_dataset, recall
-from demoplan.pipeline.ingest import ingest, jobs_of
+from demoplan.pipeline.episodes.ingest import ingest, jobs_of
 from demoplan.pipeline.run import run
 from demoplan.store import Store
 from demoplan.store.code_version import code_version
@@ -62,7 +62,7 @@ def test_each_episode_has_every_table_and_they_fit_together(finished):
 
 
 def test_an_episode_is_segmented_by_what_never_saw_its_participant(finished, monkeypatch):
-    from demoplan.pipeline import activities
+    from demoplan.pipeline.episodes import activities
 
     opened, store, result = finished
     seen = {}

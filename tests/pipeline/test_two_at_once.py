@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from demoplan.pipeline.datasets import open_dataset
-from demoplan.pipeline.ingest import ingest, jobs_of
+from demoplan.pipeline.episodes.ingest import ingest, jobs_of
 from demoplan.store import Store
 from demoplan.store.verifying import verify
 

@@ -8,7 +8,7 @@ from demoplan.engines.mujoco.scene_spec import ObjectSpec, SceneSpec
 from demoplan.errors import StoreError, UnknownNameError
 from demoplan.ids import content_hash
 from demoplan.pipeline import viewing
-from demoplan.pipeline.execute import run_rows, step_rows
+from demoplan.pipeline.execution.execute import run_rows, step_rows
 from demoplan.pipeline.viewing import stored_run
 from demoplan.store import Store
 from demoplan.store.store import StageOutput, canonical_json

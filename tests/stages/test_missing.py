@@ -6,7 +6,7 @@ from demoplan.language.domains import Plan, Step
 from demoplan.language.goals import parse_goal
 from demoplan.language.invariants import parse_group
 from demoplan.language.pddl import parse_domain
-from demoplan.pipeline.planning import missing_demonstrations
+from demoplan.pipeline.domains.planning import missing_demonstrations
 from demoplan.stages.ask import ask
 from demoplan.stages.missing import MissingDemonstration, imagine, rank_missing, read_missing
 

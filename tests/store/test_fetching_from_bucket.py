@@ -1,6 +1,6 @@
 """Logs come out of a real S3 server by the interface that stores use."""
 
-from demoplan.pipeline.fetching import fetch_logs
+from demoplan.pipeline.episodes.fetching import fetch_logs
 from demoplan.store.opening import open_place
 
 

@@ -5,7 +5,7 @@ from itertools import product
 
 import pytest
 
-from demoplan.pipeline.execute import run_rows, step_rows
+from demoplan.pipeline.execution.execute import run_rows, step_rows
 from demoplan.stages.score_runs import fault_confusion, score_runs
 from demoplan.viewers.report.execution import fault_matrix, render_execution_report, run_matrices
 

@@ -7,7 +7,7 @@ import polars as pl
 import pytest
 
 from demoplan.errors import UnknownNameError
-from demoplan.pipeline.execute import run_rows, step_rows
+from demoplan.pipeline.execution.execute import run_rows, step_rows
 from demoplan.tables import Frames
 from demoplan.viewers import rerun_adapter
 from demoplan.viewers.compose import compose_episode

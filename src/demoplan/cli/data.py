@@ -81,8 +81,8 @@ def ingest(
 ) -> None:
     """Read, align and perceive every episode of a dataset into the store."""
     from demoplan.pipeline.datasets import open_dataset, remember
-    from demoplan.pipeline.ingest import ingest as ingest_all
-    from demoplan.pipeline.ingest import jobs_of
+    from demoplan.pipeline.episodes.ingest import ingest as ingest_all
+    from demoplan.pipeline.episodes.ingest import jobs_of
 
     opened = open_dataset(dataset, root=root, environment=os.environ)
     if bucket is not None:
@@ -110,7 +110,7 @@ def ingest(
 
 def _fetch(bucket: str, root: Path, quiet_s: float) -> None:
     """Bring new logs of a bucket; say what was left there."""
-    from demoplan.pipeline.fetching import Fetched, fetch_logs
+    from demoplan.pipeline.episodes.fetching import Fetched, fetch_logs
     from demoplan.store.opening import open_place
 
     def tell(log: Fetched) -> None:
@@ -124,7 +124,7 @@ def _fetch(bucket: str, root: Path, quiet_s: float) -> None:
 
 def _take_up(dataset: Path, opened: "OpenDataset", pattern: str, quiet_s: float) -> None:
     """Write logs that have arrived into the dataset's manifest; say which were left."""
-    from demoplan.pipeline.arrivals import ArrivalParams, enrol, find_arrivals
+    from demoplan.pipeline.episodes.arrivals import ArrivalParams, enrol, find_arrivals
 
     arrivals = find_arrivals(opened, ArrivalParams(pattern=pattern, quiet_s=quiet_s))
     for arrival in arrivals:

@@ -74,7 +74,7 @@ def show(
     from dataclasses import asdict, replace
 
     from demoplan.language.pddl import render_domain
-    from demoplan.pipeline.learning import stored_domain
+    from demoplan.pipeline.domains.learning import stored_domain
     from demoplan.stages.compose import pruned
 
     learned = stored_domain(existing_store(store), domain)
@@ -161,7 +161,7 @@ def diff(
     from dataclasses import asdict
 
     from demoplan.language.diff import in_words
-    from demoplan.pipeline.learning import changes_between, stored_domain
+    from demoplan.pipeline.domains.learning import changes_between, stored_domain
 
     opened = existing_store(store)
     changes = changes_between(stored_domain(opened, old), stored_domain(opened, new))
@@ -190,8 +190,8 @@ def lint_version(
     from dataclasses import asdict
 
     from demoplan.language.lint import ERROR
-    from demoplan.pipeline.domain_quality import lint_domain
-    from demoplan.pipeline.learning import stored_domain
+    from demoplan.pipeline.domains.domain_quality import lint_domain
+    from demoplan.pipeline.domains.learning import stored_domain
 
     opened = existing_store(store)
     found = lint_domain(stored_domain(opened, domain), opened, state)
@@ -224,8 +224,8 @@ def test_version(
     from dataclasses import asdict
 
     from demoplan.engines.fast_downward import SolveParams
-    from demoplan.pipeline.domain_quality import read_case, run_cases
-    from demoplan.pipeline.learning import stored_domain
+    from demoplan.pipeline.domains.domain_quality import read_case, run_cases
+    from demoplan.pipeline.domains.learning import stored_domain
 
     opened = existing_store(store)
     cases = [read_case(path) for path in plans]
@@ -250,7 +250,7 @@ def graph(
     as_json: JsonOption = False,
 ) -> None:
     """Draw what each operator needs and changes."""
-    from demoplan.pipeline.learning import stored_domain
+    from demoplan.pipeline.domains.learning import stored_domain
     from demoplan.store.atomic import write_bytes
     from demoplan.viewers.domain_graph import domain_dot, domain_svg
 

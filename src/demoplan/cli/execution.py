@@ -50,7 +50,7 @@ def _vocabulary(store: Store, dataset: str) -> "Vocabulary":
 
 def _checked(monitors: Sequence[str], robot: str) -> tuple[str, ...]:
     from demoplan.engines.mujoco.session import ROBOTS
-    from demoplan.pipeline.execute import MONITORS
+    from demoplan.pipeline.execution.execute import MONITORS
 
     for name in monitors:
         if name not in MONITORS:
@@ -100,11 +100,11 @@ def execute(
     from demoplan.errors import DemoplanError
     from demoplan.manifests.faults import read_faults
     from demoplan.manifests.goals import GoalCase
-    from demoplan.pipeline.evaluate import scene_of
-    from demoplan.pipeline.execute import ExecuteParams
-    from demoplan.pipeline.learning import stored_domain
-    from demoplan.pipeline.run_jobs import RunJob, carry_out, not_started
-    from demoplan.pipeline.scenes import scene_of_state
+    from demoplan.pipeline.domains.learning import stored_domain
+    from demoplan.pipeline.execution.evaluate import scene_of
+    from demoplan.pipeline.execution.execute import ExecuteParams
+    from demoplan.pipeline.execution.run_jobs import RunJob, carry_out, not_started
+    from demoplan.pipeline.execution.scenes import scene_of_state
 
     monitors = _checked(monitor or ("full",), robot)
     if len(monitors) != 1:
@@ -165,7 +165,7 @@ def execute(
     if row["reason"]:
         say(row["reason"])
     if view is not None:
-        from demoplan.pipeline.run_views import record_run
+        from demoplan.pipeline.execution.run_views import record_run
 
         record_run(done.run, done.steps, done.frames, spec, vocabulary, view, goal=goal)
         say(f"recording written to {view}")
@@ -225,7 +225,7 @@ def evaluate(
     as_json: JsonOption = False,
 ) -> None:
     """Execute every domain × goal × seed × fault × monitor; what was run before is not run again."""
-    from demoplan.pipeline.simulate import Batch, simulate
+    from demoplan.pipeline.execution.simulate import Batch, simulate
     from demoplan.stages.score_runs import fault_confusion, score_runs
 
     batch = Batch(
@@ -255,13 +255,13 @@ def evaluate(
         for (outcome,), part in result.runs.group_by("outcome", maintain_order=True):
             say(f"{outcome}: {part.height} runs")
     if report is not None:
-        from demoplan.pipeline.run_views import execution_report
+        from demoplan.pipeline.execution.run_views import execution_report
         from demoplan.store.atomic import write_bytes
 
         write_bytes(report, execution_report(result, title=f"{robot}: {goals.stem}").encode())
         say(f"report: {report}")
     if views is not None:
-        from demoplan.pipeline.run_views import record_runs
+        from demoplan.pipeline.execution.run_views import record_runs
 
         record_runs(opened, result, simulated.vocabulary, views)
         say(f"recordings written to {views}")
@@ -282,9 +282,9 @@ def serve_goals(
     """Offer /demoplan/plan_goal and /demoplan/execute_goal to rosbridge clients, on loopback only."""
     from demoplan.engines.mujoco.skills import read_skills
     from demoplan.engines.rosbridge import serve
-    from demoplan.pipeline.execute import ExecuteParams
-    from demoplan.pipeline.goal_service import GoalService
-    from demoplan.pipeline.learning import stored_domain
+    from demoplan.pipeline.domains.learning import stored_domain
+    from demoplan.pipeline.execution.execute import ExecuteParams
+    from demoplan.pipeline.execution.goal_service import GoalService
 
     _checked((), robot)
     opened = existing_store(store)

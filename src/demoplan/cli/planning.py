@@ -63,15 +63,15 @@ def plan(
 ) -> None:
     """Plan from a state to a goal; without a plan, say what is missing. Exit code 1 if there is no plan."""
     from demoplan.engines.fast_downward import SolveParams
-    from demoplan.pipeline.learning import exclusive_groups_of, stored_domain
-    from demoplan.pipeline.planning import make_plan, problem_of, start_of
+    from demoplan.pipeline.domains.learning import exclusive_groups_of, stored_domain
+    from demoplan.pipeline.domains.planning import make_plan, problem_of, start_of
 
     opened = existing_store(store)
     learned = stored_domain(opened, domain)
     start = start_of(state, opened, learned.domain)
     if robot is not None:
-        from demoplan.pipeline.reaching import open_for, reach_of_plan, with_hands_of
-        from demoplan.pipeline.scenes import scene_of_state
+        from demoplan.pipeline.execution.reaching import open_for, reach_of_plan, with_hands_of
+        from demoplan.pipeline.execution.scenes import scene_of_state
 
         session = open_for(scene_of_state(opened, state), robot)
         start = with_hands_of(start, session, learned.domain)
@@ -126,7 +126,7 @@ def learn_traces(
     ``--json`` gives every literal considered, with its probability and counts, and how often atoms were
     misread, as estimated.
     """
-    from demoplan.pipeline.learn_traces import learn_traces as learn
+    from demoplan.pipeline.domains.learn_traces import learn_traces as learn
 
     report = learn(case, output)
     if as_json:
@@ -172,8 +172,8 @@ def train(
     workers: WorkersOption = 0,
 ) -> None:
     """Fit a segmenter to all labelled episodes of a dataset; it is data, and names what it was trained on."""
-    from demoplan.pipeline.activities import train_on
     from demoplan.pipeline.datasets import open_dataset
+    from demoplan.pipeline.episodes.activities import train_on
 
     opened = open_dataset(dataset, root=root, environment=os.environ)
     chosen, text = train_on(
@@ -196,8 +196,8 @@ def score(
     as_json: JsonOption = False,
 ) -> None:
     """Score segmenters, each participant (or take, if there is one participant) by what never saw it."""
-    from demoplan.pipeline.activities import score_methods
     from demoplan.pipeline.datasets import open_dataset
+    from demoplan.pipeline.episodes.activities import score_methods
 
     opened = open_dataset(dataset, root=root, environment=os.environ)
     scores, confusions = score_methods(

@@ -52,12 +52,19 @@ def run(
         typer.Option(min=0, metavar="N", help="Also record N new people, and try the same on them."),
     ] = 0,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the new people.")] = 1,
+    splits_types: Annotated[
+        bool,
+        typer.Option(
+            "--split-types", help="Give objects that behave unlike others of their type one of their own."
+        ),
+    ] = False,
     workers: WorkersOption = 0,
     as_json: JsonOption = False,
 ) -> None:
     """Logs to activities, domains, plans, scores and a report; what is up to date is skipped."""
     from demoplan.pipeline.datasets import open_dataset
     from demoplan.pipeline.run import run as run_all
+    from demoplan.stages.learn import LearnParams
 
     opened = open_dataset(dataset, root=root, environment=os.environ)
     others = _recorded(store, opened, fresh, seed) if fresh else None
@@ -68,6 +75,7 @@ def run(
         n_workers=workers_of(workers),
         progress=progress,
         fresh=others,
+        learning=LearnParams(splits_types=splits_types),
     )
     if as_json:
         print_json(_summary(result))
@@ -98,8 +106,8 @@ def reprocess(
     as_json: JsonOption = False,
 ) -> None:
     """Run again what is stale, and only that: input, parameters, code or table declarations changed."""
-    from demoplan.pipeline.reprocess import reprocess as run_again
-    from demoplan.pipeline.staleness import find_stale, selected, total_cost_s
+    from demoplan.pipeline.upkeep.reprocess import reprocess as run_again
+    from demoplan.pipeline.upkeep.staleness import find_stale, selected, total_cost_s
 
     opened = existing_store(store)
     plan = find_stale(opened, os.environ)

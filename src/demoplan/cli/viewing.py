@@ -71,7 +71,7 @@ def view(
 def _record(store: Store, name: str, output: Path | None, params: "EpisodeViewParams") -> tuple[Path, int]:
     """Write the recording of whatever has that name; gives its path and how long it lasts [ns]."""
     from demoplan.pipeline.datasets import recall
-    from demoplan.pipeline.learning import latest_evidence
+    from demoplan.pipeline.domains.learning import latest_evidence
     from demoplan.pipeline.viewing import record_stored_run, record_view, stored_run
     from demoplan.tables import Episodes
 

@@ -8,7 +8,11 @@ import dataframely as dy
 import polars as pl
 
 import demoplan
-from demoplan.pipeline.activities import (
+from demoplan.pipeline.crews import Crew, Processes
+from demoplan.pipeline.datasets import OpenDataset, remember
+from demoplan.pipeline.domains.learning import Learned
+from demoplan.pipeline.domains.study import COMBINED, Tried, learn_all, try_goals
+from demoplan.pipeline.episodes.activities import (
     MAJORITY,
     METHODS,
     RULE_TREES,
@@ -21,13 +25,10 @@ from demoplan.pipeline.activities import (
     trained,
     usable,
 )
-from demoplan.pipeline.crews import Crew, Processes
-from demoplan.pipeline.datasets import OpenDataset, remember
-from demoplan.pipeline.ingest import ingest, jobs_of
-from demoplan.pipeline.learning import Learned
+from demoplan.pipeline.episodes.ingest import ingest, jobs_of
+from demoplan.pipeline.episodes.segment_stages import ChosenSegmenter
 from demoplan.pipeline.reporting import Progress, silent
-from demoplan.pipeline.segment_stages import ChosenSegmenter
-from demoplan.pipeline.study import COMBINED, Tried, learn_all, try_goals
+from demoplan.stages.learn import LearnParams
 from demoplan.stages.missing import rank_missing
 from demoplan.stages.score import confusion, majority_activities, score_segmentation
 from demoplan.stages.score_plans import score_plans
@@ -104,6 +105,7 @@ def run(
     crew: Crew | None = None,
     progress: Progress = silent,
     fresh: OpenDataset | None = None,
+    learning: LearnParams = LearnParams(),
 ) -> RunResult:
     """Do everything for a dataset; what is up to date is not done again.
 
@@ -117,6 +119,7 @@ def run(
         progress: How to say how far it is.
         fresh: A dataset of other people, in no way part of the first, to try the same on. Their activities
             are found by a segmenter trained on the first dataset only.
+        learning: How operators are learned.
 
     Raises:
         UsageError: If nothing of the dataset can be used.
@@ -131,7 +134,7 @@ def run(
     crew = crew or Processes(n_workers)
     is_file = Path(segmenter).is_file()
     remember(opened, store, segmenter=str(Path(segmenter).resolve()) if is_file else segmenter)
-    main = _work(opened, store, choose, crew, n_workers, progress)
+    main = _work(opened, store, choose, crew, n_workers, progress, learning)
     scores, confusions = _score_activities(main, store)
     parts = [main]
     if fresh is not None:
@@ -143,6 +146,7 @@ def run(
             crew,
             n_workers,
             progress,
+            learning,
         )
         fresh_scores, _ = _score_activities(part, store)
         scores = _joined(scores, fresh_scores.with_columns(pl.col("suite") + FRESH_SUITE))
@@ -174,6 +178,7 @@ def _work(
     crew: Crew,
     n_workers: int,
     progress: Progress,
+    learning: LearnParams,
 ) -> _Part:
     """Ingest, segment, learn and plan, for one dataset."""
     remember(opened, store)
@@ -187,7 +192,7 @@ def _work(
             opened, store, states, segmenters, crew=crew, on_done=lambda state: done(state.episode_id)
         )
     with progress(f"{name}: learn", len(usable(states)) + 1) as done:
-        learned = learn_all(opened, store, states, on_done=done)
+        learned = learn_all(opened, store, states, params=learning, on_done=done)
     with progress(f"{name}: plan", len(learned) * len(opened.dataset.goals)) as done:
         tried = try_goals(opened, store, learned, n_workers=n_workers, on_done=done)
     return _Part(
@@ -261,6 +266,14 @@ def _report(
             kind="missing knowledge", subject=str(each), cause=f"would give a plan for {', '.join(opened)}"
         )
         for each, opened in lacking
+    ]
+    failures += [
+        Failure(
+            kind="type that was split" if row["is_applied"] else "type to split",
+            subject=row["subject"],
+            cause=row["statement"],
+        )
+        for row in combined.findings.filter(pl.col("kind") == "type").iter_rows(named=True)
     ]
     return render_report(
         ReportContent(

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 from demoplan.language.atoms import Atom, Literal
 from demoplan.language.domains import Domain, Problem, Signature
-from demoplan.pipeline.senses import Senses
+from demoplan.pipeline.execution.senses import Senses
 
 WITHIN_REACH = "withinReach"
 

@@ -11,9 +11,9 @@ from demoplan.errors import ManifestError, UsageError
 from demoplan.language.pddl import render_domain
 from demoplan.manifests.faults import parse_faults
 from demoplan.manifests.goals import GoalCase, parse_goals, read_goals
-from demoplan.pipeline import evaluate as evaluating
-from demoplan.pipeline.evaluate import evaluate, jobs_of
-from demoplan.pipeline.run_views import execution_report, record_run
+from demoplan.pipeline.execution import evaluate as evaluating
+from demoplan.pipeline.execution.evaluate import evaluate, jobs_of
+from demoplan.pipeline.execution.run_views import execution_report, record_run
 from demoplan.stages.score_runs import fault_confusion, score_runs
 from demoplan.store import Store
 
@@ -103,7 +103,7 @@ def test_scores_tell_faults_from_clean_runs_and_monitors_from_each_other(jobs):
 
 
 def test_a_run_can_be_looked_at(learned_domain, tabletop, new_session, four_cubes, tmp_path):
-    from demoplan.pipeline.execute import execute
+    from demoplan.pipeline.execution.execute import execute
 
     done = execute(learned_domain, ONE.goal, new_session(four_cubes), tabletop)
     path = record_run(done.run, done.steps, done.frames, four_cubes, tabletop, tmp_path / "run.rrd")

@@ -10,7 +10,7 @@ from polars.testing import assert_frame_equal
 from demoplan.engines.mujoco.skills import read_skills
 from demoplan.errors import ManifestError, PddlError, UnknownNameError, UsageError
 from demoplan.manifests.faults import parse_faults, read_faults
-from demoplan.pipeline.execute import ExecuteParams, execute
+from demoplan.pipeline.execution.execute import ExecuteParams, execute
 
 ROOT = Path(__file__).resolve().parents[3]
 TOWER = "onTop(cube_red, cube_blue) & onTop(cube_green, cube_red)"

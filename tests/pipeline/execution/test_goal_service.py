@@ -6,7 +6,7 @@ import pytest
 from websockets.sync.client import connect
 
 from demoplan.engines.rosbridge import start
-from demoplan.pipeline.goal_service import EXECUTE, PLAN, RESET, GoalService
+from demoplan.pipeline.execution.goal_service import EXECUTE, PLAN, RESET, GoalService
 
 pytest.importorskip("mujoco")
 

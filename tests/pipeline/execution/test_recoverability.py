@@ -3,7 +3,7 @@
 import pytest
 
 from demoplan.manifests.faults import parse_faults
-from demoplan.pipeline.recoverability import recoverability
+from demoplan.pipeline.execution.recoverability import recoverability
 
 TOWER = "onTop(cube_red, cube_blue) & onTop(cube_green, cube_red)"
 

@@ -9,8 +9,8 @@ pytest.importorskip("mujoco")
 from demoplan.engines.mujoco.opening import open_session
 from demoplan.errors import UsageError
 from demoplan.pipeline.datasets import open_dataset, remember
-from demoplan.pipeline.ingest import ingest, jobs_of
-from demoplan.pipeline.scenes import scene_of_state
+from demoplan.pipeline.episodes.ingest import ingest, jobs_of
+from demoplan.pipeline.execution.scenes import scene_of_state
 from demoplan.store import Store
 
 

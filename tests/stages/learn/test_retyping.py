@@ -74,8 +74,10 @@ def test_nothing_is_stacked_onto_what_rolls_once_its_type_is_split(table_world, 
     assert put_onto(table_world, as_before, "cube_red", BALL).is_validated
 
 
-def test_without_a_reason_no_type_is_split_and_the_same_is_learned(table_world):
-    transitions = table_world.transitions_of(*table_world.study("retyping").values())
+@pytest.mark.parametrize("noise", [None, 1, 2])
+def test_without_a_reason_no_type_is_split_and_the_same_is_learned(table_world, noise):
+    clean = table_world.transitions_of(*table_world.study("retyping", participants=40).values())
+    transitions = clean if noise is None else table_world.corrupted(clean, noise)
     learned, retyping = learn_splitting_types(transitions, table_world.TYPES, table_world.PREDICATES)
     assert not retyping.type_of
     assert retyping.types == table_world.TYPES

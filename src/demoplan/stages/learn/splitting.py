@@ -23,6 +23,9 @@ from demoplan.stages.learn.lift import Lifted
 
 MIN_LOG_BAYES_FACTOR = log(20.0)
 """Strong evidence, by the usual scale."""
+MISNAMED_SHARE = 0.1
+"""Of an object's other activities, so many may have been given this activity's name by mistake: what is no more
+frequent than that says nothing of the object."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,7 +81,9 @@ def find_splits(data: Encoded, lifted: Lifted, outcome_of_pattern: Ints) -> tupl
 
 def _best_split(data: Encoded, code: int, role: str, table: pl.DataFrame) -> TypeSplit | None:
     counts: dict[tuple[int, int], dict[int, Counter[int]]] = defaultdict(lambda: defaultdict(Counter))
+    n_of: Counter[int] = Counter()
     for _, activity, aim, instance, outcome, n in table.iter_rows():
+        n_of[instance] += n
         counts[activity, aim][instance][outcome] += n
     best: TypeSplit | None = None
     for (activity, _), of_instance in sorted(counts.items()):
@@ -87,7 +92,11 @@ def _best_split(data: Encoded, code: int, role: str, table: pl.DataFrame) -> Typ
             continue
         total = _sum(of_instance.values())
         usual = max(total, key=lambda outcome: (total[outcome], -outcome))
-        apart = [each for each in instances if _differs(of_instance[each], usual)]
+        apart = [
+            each
+            for each in instances
+            if _differs(of_instance[each], usual) and not _is_by_mistake(of_instance[each], n_of[each])
+        ]
         rest = [each for each in instances if each not in apart]
         if not apart or not rest:
             continue
@@ -113,6 +122,11 @@ def _best_split(data: Encoded, code: int, role: str, table: pl.DataFrame) -> Typ
 
 def _differs(counts: Mapping[int, int], usual: int) -> bool:
     return max(counts.values()) > counts.get(usual, 0)
+
+
+def _is_by_mistake(counts: Mapping[int, int], n_in_all: int) -> bool:
+    n = sum(counts.values())
+    return n <= MISNAMED_SHARE * (n_in_all - n)
 
 
 def _sum(counters: Iterable[Mapping[int, int]]) -> Counter[int]:

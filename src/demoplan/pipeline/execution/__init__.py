@@ -1,0 +1,1 @@
+"""Plans carried out by simulated robots: watched, diagnosed, planned anew, evaluated in batches."""

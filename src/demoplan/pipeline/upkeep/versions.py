@@ -1,0 +1,86 @@
+"""A dataset to the next version of its domain, with what changed; planning comes after."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from demoplan.language.diff import Change
+from demoplan.pipeline.crews import Crew, Processes
+from demoplan.pipeline.datasets import OpenDataset, remember
+from demoplan.pipeline.domains.learning import (
+    Learned,
+    changes_between,
+    learn_domain,
+    params_of,
+    stored_domain,
+)
+from demoplan.pipeline.episodes.activities import read_segmenter, segment_episodes, segmenters_for, usable
+from demoplan.pipeline.episodes.ingest import ingest, jobs_of
+from demoplan.pipeline.reporting import Progress, silent
+from demoplan.store import EpisodeState, Store
+
+
+@dataclass(frozen=True, kw_only=True)
+class NewVersion:
+    """The version of a dataset's domain that its evidence gives now."""
+
+    learned: Learned
+    previous: Learned | None
+    """The latest version before; None if this is the first."""
+    changes: tuple[Change, ...]
+    states: tuple[EpisodeState, ...]
+
+    @property
+    def is_new(self) -> bool:
+        """Whether it says something else than the version before."""
+        return self.previous is None or self.previous.version.domain_id != self.learned.version.domain_id
+
+
+def learn_version(
+    opened: OpenDataset,
+    store: Store,
+    *,
+    segmenter: str = "auto",
+    n_workers: int = 1,
+    crew: Crew | None = None,
+    progress: Progress = silent,
+) -> NewVersion:
+    """Learn a dataset's domain from all its usable episodes; what is up to date is not done again.
+
+    Args:
+        opened: The dataset.
+        store: Where everything is kept.
+        segmenter: As ``demoplan run`` takes it.
+        n_workers: Processes of this machine.
+        crew: Who works on episodes in place of these processes.
+        progress: How to say how far it is.
+
+    Raises:
+        UsageError: If no episode can be used.
+    """
+    name = opened.dataset.name
+    crew = crew or Processes(n_workers)
+    is_file = Path(segmenter).is_file()
+    remember(opened, store, segmenter=str(Path(segmenter).resolve()) if is_file else segmenter)
+    latest = store.domains.latest(name)
+    previous = stored_domain(store, latest.domain_id) if latest is not None else None
+    jobs = jobs_of(opened, store, opened.dataset.episodes)
+    with progress(f"{name}: read, align, perceive", len(jobs)) as done:
+        states = ingest(jobs, crew=crew, on_done=lambda s: done(f"{s.episode_id} {s.status}"))
+    if is_file:
+        chosen = dict.fromkeys((s.episode_id for s in usable(states)), read_segmenter(Path(segmenter)))
+    else:
+        chosen = segmenters_for(opened, store, states, segmenter)
+    with progress(f"{name}: segment", len(states)) as done:
+        states = segment_episodes(
+            opened, store, states, chosen, crew=crew, on_done=lambda s: done(s.episode_id)
+        )
+    learned = learn_domain(
+        store, states, opened.vocabulary, name=name, dataset=name, params=params_of(latest)
+    )
+    store.snapshots.take(store.manifest.episodes(), f"learn {name}")
+    return NewVersion(
+        learned=learned,
+        previous=previous,
+        changes=changes_between(previous, learned) if previous is not None else (),
+        states=tuple(states),
+    )
