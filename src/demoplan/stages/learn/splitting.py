@@ -24,7 +24,7 @@ from demoplan.stages.learn.lift import Lifted
 MIN_LOG_BAYES_FACTOR = log(20.0)
 """Strong evidence, by the usual scale."""
 MISNAMED_SHARE = 0.1
-"""Of an object's other activities, so many may have been given this activity's name by mistake: what is no more
+"""Of an object's other activities, so many may have been given this one's name by mistake: what is no more
 frequent than that says nothing of the object."""
 
 
