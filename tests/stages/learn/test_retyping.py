@@ -1,16 +1,23 @@
 """Types that behaviour splits, applied: plans with the new types."""
 
+from pathlib import Path
+
 import polars as pl
 import pytest
 
 from demoplan.engines.fast_downward import solve
 from demoplan.language.atoms import Atom, Literal
 from demoplan.language.pddl import parse_domain, render_domain
+from demoplan.pipeline.datasets import open_dataset
+from demoplan.pipeline.domains.learning import learn_call, learn_domain, params_of, stored_domain
+from demoplan.pipeline.domains.planning import Start, problem_of
 from demoplan.stages.ask import ask
 from demoplan.stages.compose import compose
-from demoplan.stages.learn import learn, learn_splitting_types
+from demoplan.stages.learn import LearnParams, learn, learn_splitting_types
+from demoplan.store import EpisodeState, Store
 from demoplan.tables import Transitions
 
+CHECKOUT = Path(__file__).resolve().parents[3]
 BALL = "cube_green"
 
 
@@ -83,3 +90,30 @@ def test_without_a_reason_no_type_is_split_and_the_same_is_learned(table_world, 
     assert retyping.types == table_world.TYPES
     plain = learn(transitions, table_world.TYPES, table_world.PREDICATES)
     assert all(one.equals(other) for one, other in zip(learned, plain, strict=True))
+
+
+def test_a_stored_domain_keeps_its_split_types_and_problems_take_them_from_it(
+    table_world, with_a_ball, tmp_path
+):
+    vocabulary = open_dataset(CHECKOUT / "datasets/cube-stacking").vocabulary
+    store = Store(tmp_path)
+    states = []
+    for (name,), rows in with_a_ball.group_by("episode_id", maintain_order=True):
+        content = store.objects.put(Transitions.validate(rows), Transitions)
+        states.append(EpisodeState(dataset="d", episode_id=str(name), tables={"transitions": str(content)}))
+    learn_domain(store, states, vocabulary, name="balls", dataset="d", params=LearnParams(splits_types=True))
+    learned = stored_domain(store, "balls")
+    atoms = {Atom("handOpen", (hand,)) for hand in table_world.HANDS}
+    for cube in table_world.CUBES:
+        atoms |= {Atom("onTop", (cube, "table")), Atom("inTouch", (cube, "table")), Atom("clear", (cube,))}
+    start = Start(objects=table_world.ENTITIES, atoms=frozenset(atoms), origin="a table")
+    problem = problem_of(learned.domain, start, f"onTop(cube_red, {BALL})")
+    assert dict(problem.objects)[BALL] == "WoodenCube_2"
+    assert dict(problem.objects)["cube_red"] == "WoodenCube"
+    assert solve(learned.domain, problem).outcome == "unsolvable"
+    assert solve(learned.domain, problem_of(learned.domain, start, "onTop(cube_red, cube_blue)")).is_validated
+    # Learned again for the same name, it is split again.
+    params = params_of(learned.version)
+    assert params.splits_types
+    assert store.find("learn", *learn_call(states, vocabulary, params)) is not None
+    assert store.find("learn", *learn_call(states, vocabulary)) is None
