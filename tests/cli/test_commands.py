@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from demoplan.store import Store
+
 CHECKOUT = Path(__file__).resolve().parents[2]
 
 
@@ -222,8 +224,7 @@ def test_a_damaged_store_fails_verification_and_is_mended_by_repairing_and_repro
 
     folder, _ = store
     shutil.copytree(folder / "store", tmp_path / "store")
-    manifest = json.loads((tmp_path / "store/manifest.json").read_text())
-    content = manifest["datasets"]["two"]["p1-one-left"]["tables"]["facts"]
+    content = Store(tmp_path / "store").manifest.episode("two/p1-one-left").tables["facts"]
     path = tmp_path / "store/objects" / content[:2] / f"{content}.parquet"
     whole = path.read_bytes()
     path.write_bytes(whole[:-1])
@@ -269,6 +270,9 @@ def test_a_domain_is_linted_tested_and_drawn(store, tmp_path):
     picture = tmp_path / "two.svg"
     assert demoplan("domain", "graph", "two", "--out", picture, "--store", folder / "store").returncode == 0
     assert picture.read_text().startswith("<svg")
+    drawn = tmp_path / "two.png"
+    assert demoplan("domain", "graph", "two", "--out", drawn, "--store", folder / "store").returncode == 0
+    assert drawn.read_bytes().startswith(b"\x89PNG")
     assert (
         demoplan(
             "domain", "graph", "two", "--out", tmp_path / "two.gif", "--store", folder / "store"

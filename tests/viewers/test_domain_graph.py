@@ -1,11 +1,16 @@
 """Pictures of domains: every operator and predicate is in them, and they are well-formed."""
 
+from io import BytesIO
 from itertools import pairwise
 from pathlib import Path
 from xml.etree import ElementTree
 
+import matplotlib.image
+import pytest
+
 from demoplan.language.pddl import parse_domain
-from demoplan.viewers.domain_graph import domain_dot, domain_svg
+from demoplan.viewers.domain_graph import domain_dot, domain_layout, domain_svg
+from demoplan.viewers.domain_png import domain_png
 
 DOMAIN = parse_domain(
     (Path(__file__).parents[1] / "golden" / "planning" / "stacking-domain.pddl").read_text()
@@ -46,3 +51,16 @@ def test_the_dot_text_has_a_node_for_every_operator_and_names_are_quoted():
     assert text.count("{") == text.count("}")
     for operator in DOMAIN.operators:
         assert f'"{operator.name}" [label=' in text
+
+
+def test_the_png_shows_the_boxes_of_the_svg_where_it_has_them():
+    png = domain_png(DOMAIN, dots_per_pixel=1.0)
+    assert png == domain_png(DOMAIN, dots_per_pixel=1.0)
+    layout = domain_layout(DOMAIN)
+    pixels = matplotlib.image.imread(BytesIO(png), format="png")
+    assert pixels.shape[:2] == (layout.height, layout.width)
+    for box in layout.boxes:
+        # Inside, at the left edge, where no letter stands.
+        shown = pixels[round(box.middle), box.x + 4, :3]
+        wanted = [int(box.fill[place : place + 2], 16) / 255 for place in (1, 3, 5)]
+        assert shown == pytest.approx(wanted, abs=0.02)

@@ -1,12 +1,16 @@
 """Commands about domain versions: list, show, diff, lint, test, graph."""
 
+from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from demoplan.cli.options import DEFAULT_STORE, JsonOption, StoreOption, existing_store
 from demoplan.cli.output import Exit, print_json, print_table, say, stdout
+
+if TYPE_CHECKING:
+    from demoplan.language.domains import Domain
 
 domains = typer.Typer(no_args_is_help=True, help="Domain versions: list, show, diff, lint, test, graph.")
 
@@ -245,7 +249,9 @@ def test_version(
 @domains.command()
 def graph(
     domain: DomainArgument,
-    out: Annotated[Path, typer.Option("--out", "-o", help="File to write: .svg or .dot (for Graphviz).")],
+    out: Annotated[
+        Path, typer.Option("--out", "-o", help="File to write: .svg, .png or .dot (for Graphviz).")
+    ],
     store: StoreOption = DEFAULT_STORE,
     as_json: JsonOption = False,
 ) -> None:
@@ -253,14 +259,18 @@ def graph(
     from demoplan.pipeline.domains.learning import stored_domain
     from demoplan.store.atomic import write_bytes
     from demoplan.viewers.domain_graph import domain_dot, domain_svg
+    from demoplan.viewers.domain_png import domain_png
 
-    draw = {".svg": domain_svg, ".dot": domain_dot}.get(out.suffix)
-    if draw is None:
-        raise typer.BadParameter(
-            f"{out}: a picture is .svg or .dot; `dot -Tpng` makes a .png of the latter", param_hint="--out"
-        )
+    draws: dict[str, Callable[[Domain], str | bytes]] = {
+        ".svg": domain_svg,
+        ".png": domain_png,
+        ".dot": domain_dot,
+    }
+    if out.suffix not in draws:
+        raise typer.BadParameter(f"{out}: a picture is .svg, .png or .dot", param_hint="--out")
     learned = stored_domain(existing_store(store), domain)
-    write_bytes(out, draw(learned.domain).encode())
+    drawn = draws[out.suffix](learned.domain)
+    write_bytes(out, drawn.encode() if isinstance(drawn, str) else drawn)
     if as_json:
         print_json({"path": str(out), "domain_id": learned.version.domain_id})
     else:

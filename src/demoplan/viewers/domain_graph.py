@@ -1,9 +1,10 @@
 """A domain as a picture: what each operator needs, and what it changes.
 
-Three columns: predicates that are needed, operators, predicates that are changed. SVG is laid out here, so
-that it needs nothing; DOT is for Graphviz, which lays out larger domains better.
+Three columns: predicates that are needed, operators, predicates that are changed. SVG and PNG are laid out
+here, so that they need no program; DOT is for Graphviz, which lays out larger domains better.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from html import escape
 from typing import Literal as Choice
@@ -89,8 +90,71 @@ def _quoted(text: str) -> str:
     return '"' + text.replace('"', '\\"') + '"'
 
 
-def domain_svg(domain: Domain) -> str:
-    """The picture as SVG without external resources; the same bytes for the same domain."""
+@dataclass(frozen=True)
+class Box:
+    """A predicate or an operator, in pixels from the upper left."""
+
+    x: int
+    middle: float
+    width: int
+    text: str
+    fill: str
+    radius: int
+    detail: str = ""
+    """A second line, in smaller letters."""
+
+    @property
+    def height(self) -> int:
+        """Enough for its lines."""
+        return _BOX + (16 if self.detail else 0)
+
+    @property
+    def baseline(self) -> float:
+        """Where its first line of text stands."""
+        return self.middle + 4.5 - (8 if self.detail else 0)
+
+
+@dataclass(frozen=True)
+class Curve:
+    """A line from what is needed to an operator, or from an operator to what it changes."""
+
+    start: tuple[int, float]
+    end: tuple[int, float]
+    colour: str
+    is_dashed: bool
+    title: str
+
+    @property
+    def controls(self) -> tuple[tuple[float, float], tuple[float, float]]:
+        """Control points of the cubic curve: it leaves and arrives level."""
+        bend = (self.end[0] - self.start[0]) / 2
+        return (self.start[0] + bend, self.start[1]), (self.end[0] - bend, self.end[1])
+
+
+@dataclass(frozen=True)
+class Key:
+    """An entry of the legend: a short line, and what its colour means."""
+
+    x: int
+    y: int
+    text: str
+    colour: str
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Where everything stands, in pixels; whoever draws it adds nothing."""
+
+    title: str
+    width: int
+    height: int
+    keys: tuple[Key, ...]
+    curves: tuple[Curve, ...]
+    boxes: tuple[Box, ...]
+
+
+def domain_layout(domain: Domain) -> Layout:
+    """Where boxes and lines stand: three columns, each spread over the whole height."""
     edges = _edges(domain)
     columns = {
         "left": sorted({edge.predicate for edge in edges if edge.side == "needs"}),
@@ -104,51 +168,46 @@ def domain_svg(domain: Domain) -> str:
         "middle": _MARGIN + _WIDTHS["left"] + _GAP,
         "right": _MARGIN + _WIDTHS["left"] + _WIDTHS["middle"] + 2 * _GAP,
     }
-    width = lefts["right"] + _WIDTHS["right"] + _MARGIN
-    height = top + n_rows * _ROW * 2 + _MARGIN
     middles = {
         (column, name): top + (number + 0.5) * (n_rows * _ROW * 2) / len(names)
         for column, names in columns.items()
         for number, name in enumerate(names)
     }
-    parts = [
-        f'<svg xmlns="http://www.w3.org/2000/svg" width="{width}" height="{height}" '
-        f'viewBox="0 0 {width} {height}" font-family="system-ui, sans-serif" font-size="13">',
-        f"<title>{escape(domain.name)}: what operators need and change</title>",
-        f'<rect width="{width}" height="{height}" fill="white"/>',
-        *_legend(),
+    predicates = [
+        Box(lefts[column], middles[column, name], _WIDTHS[column], name, "#f4f6f8", 12)
+        for column in ("left", "right")
+        for name in columns[column]
     ]
-    parts += [_line(edge, lefts, middles) for edge in edges]
-    for column in ("left", "right"):
-        for name in columns[column]:
-            parts.append(_box(lefts[column], middles[column, name], _WIDTHS[column], name, "#f4f6f8", 12))
-    for operator in domain.operators:
-        parts.append(
-            _box(
-                lefts["middle"],
-                middles["middle", operator.name],
-                _WIDTHS["middle"],
-                operator.name,
-                _fill(operator),
-                4,
-                detail=", ".join(f"{each.variable} {each.type_name}" for each in operator.parameters),
-            )
+    operators = [
+        Box(
+            lefts["middle"],
+            middles["middle", operator.name],
+            _WIDTHS["middle"],
+            operator.name,
+            _fill(operator),
+            4,
+            detail=", ".join(f"{each.variable} {each.type_name}" for each in operator.parameters),
         )
-    return "\n".join([*parts, "</svg>", ""])
+        for operator in domain.operators
+    ]
+    return Layout(
+        title=f"{domain.name}: what operators need and change",
+        width=lefts["right"] + _WIDTHS["right"] + _MARGIN,
+        height=top + n_rows * _ROW * 2 + _MARGIN,
+        keys=tuple(_keys()),
+        curves=tuple(_curve(edge, lefts, middles) for edge in edges),
+        boxes=(*predicates, *operators),
+    )
 
 
-def _legend() -> list[str]:
-    parts, x = [], _MARGIN
+def _keys() -> Iterator[Key]:
+    x = _MARGIN
     for text, colour in _LEGEND:
-        parts.append(
-            f'<line x1="{x}" y1="{_MARGIN + 4}" x2="{x + 28}" y2="{_MARGIN + 4}" stroke="{colour}" '
-            f'stroke-width="2"/><text x="{x + 34}" y="{_MARGIN + 9}" fill="#30363b">{text}</text>'
-        )
+        yield Key(x, _MARGIN + 4, text, colour)
         x += 60 + 8 * len(text)
-    return parts
 
 
-def _line(edge: _Edge, lefts: dict[str, int], middles: dict[tuple[str, str], float]) -> str:
+def _curve(edge: _Edge, lefts: dict[str, int], middles: dict[tuple[str, str], float]) -> Curve:
     # What is made true and what is made false of one predicate run beside each other.
     aside = -3 if edge.is_positive else 3
     operator = middles["middle", edge.operator] + aside
@@ -158,29 +217,60 @@ def _line(edge: _Edge, lefts: dict[str, int], middles: dict[tuple[str, str], flo
     else:
         start = (lefts["middle"] + _WIDTHS["middle"], operator)
         end = (lefts["right"], middles["right", edge.predicate] + aside)
-    bend = (end[0] - start[0]) / 2
-    dash = "" if edge.is_positive else ' stroke-dasharray="5 3"'
     sign = "" if edge.is_positive else "not "
-    return (
-        f'<path d="M{start[0]} {start[1]:.1f} C{start[0] + bend:.1f} {start[1]:.1f} '
-        f'{end[0] - bend:.1f} {end[1]:.1f} {end[0]} {end[1]:.1f}" fill="none" '
-        f'stroke="{_COLOURS[edge.side, edge.is_positive]}" stroke-width="1.6"{dash}>'
-        f"<title>{escape(f'{edge.operator} {edge.side} {sign}{edge.predicate}({edge.label})')}</title></path>"
+    return Curve(
+        start,
+        end,
+        _COLOURS[edge.side, edge.is_positive],
+        not edge.is_positive,
+        f"{edge.operator} {edge.side} {sign}{edge.predicate}({edge.label})",
     )
 
 
-def _box(x: int, middle: float, width: int, text: str, fill: str, radius: int, *, detail: str = "") -> str:
-    height = _BOX + (16 if detail else 0)
-    y = middle - height / 2
-    first = middle + 4.5 - (8 if detail else 0)
+def domain_svg(domain: Domain) -> str:
+    """The picture as SVG without external resources; the same bytes for the same domain."""
+    layout = domain_layout(domain)
+    width, height = layout.width, layout.height
+    parts = [
+        f'<svg xmlns="http://www.w3.org/2000/svg" width="{width}" height="{height}" '
+        f'viewBox="0 0 {width} {height}" font-family="system-ui, sans-serif" font-size="13">',
+        f"<title>{escape(layout.title)}</title>",
+        f'<rect width="{width}" height="{height}" fill="white"/>',
+        *(_svg_key(each) for each in layout.keys),
+        *(_svg_curve(each) for each in layout.curves),
+        *(_svg_box(each) for each in layout.boxes),
+    ]
+    return "\n".join([*parts, "</svg>", ""])
+
+
+def _svg_key(key: Key) -> str:
+    return (
+        f'<line x1="{key.x}" y1="{key.y}" x2="{key.x + 28}" y2="{key.y}" stroke="{key.colour}" '
+        f'stroke-width="2"/><text x="{key.x + 34}" y="{key.y + 5}" fill="#30363b">{key.text}</text>'
+    )
+
+
+def _svg_curve(curve: Curve) -> str:
+    (x1, y1), (x2, y2) = curve.controls
+    dash = ' stroke-dasharray="5 3"' if curve.is_dashed else ""
+    return (
+        f'<path d="M{curve.start[0]} {curve.start[1]:.1f} C{x1:.1f} {y1:.1f} {x2:.1f} {y2:.1f} '
+        f'{curve.end[0]} {curve.end[1]:.1f}" fill="none" stroke="{curve.colour}" stroke-width="1.6"{dash}>'
+        f"<title>{escape(curve.title)}</title></path>"
+    )
+
+
+def _svg_box(box: Box) -> str:
+    x = box.x + box.width / 2
     second = (
-        f'<text x="{x + width / 2}" y="{first + 16:.1f}" text-anchor="middle" font-size="11" '
-        f'fill="#30363b">{escape(detail)}</text>'
-        if detail
+        f'<text x="{x}" y="{box.baseline + 16:.1f}" text-anchor="middle" font-size="11" '
+        f'fill="#30363b">{escape(box.detail)}</text>'
+        if box.detail
         else ""
     )
     return (
-        f'<rect x="{x}" y="{y:.1f}" width="{width}" height="{height}" rx="{radius}" fill="{fill}" '
-        f'stroke="#8a949c"/><text x="{x + width / 2}" y="{first:.1f}" text-anchor="middle" '
-        f'fill="#15191c">{escape(text)}</text>{second}'
+        f'<rect x="{box.x}" y="{box.middle - box.height / 2:.1f}" width="{box.width}" '
+        f'height="{box.height}" rx="{box.radius}" fill="{box.fill}" stroke="#8a949c"/>'
+        f'<text x="{x}" y="{box.baseline:.1f}" text-anchor="middle" '
+        f'fill="#15191c">{escape(box.text)}</text>{second}'
     )
