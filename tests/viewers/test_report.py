@@ -108,6 +108,23 @@ def test_episodes_alone_make_a_report(episodes):
     assert ids == {"content", "episodes", "failures", "glossary"}
 
 
+def test_types_to_split_stand_before_other_findings_with_what_became_of_them(report_content):
+    finding = {
+        "n_support": 20,
+        "n_against": 0,
+        "rate": None,
+        "log10_bayes_factor": 3.0,
+    }
+    rows = [
+        finding | {"kind": "exclusion", "subject": "g", "statement": "one holds", "is_applied": True},
+        finding | {"kind": "type", "subject": "Toy: ball", "statement": "it <rolls>", "is_applied": False},
+    ]
+    findings = tables.Findings.validate(pl.DataFrame(rows, schema=tables.Findings.create_empty().schema))
+    words = Page(render_report(dataclasses.replace(report_content, findings=findings))).words
+    assert "type Toy: ball it <rolls> 10^3.0 proposed" in words
+    assert words.index("Toy: ball") < words.index("exclusion g one holds 10^3.0 applied")
+
+
 def test_a_quarantined_episode_is_told_with_its_reason_before_any_result(page):
     reason = "not a log: magic bytes are 'PK', expected MCAP, ROS bag or SQLite"
     assert reason in page.words

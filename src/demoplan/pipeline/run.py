@@ -267,14 +267,6 @@ def _report(
         )
         for each, opened in lacking
     ]
-    failures += [
-        Failure(
-            kind="type that was split" if row["is_applied"] else "type to split",
-            subject=row["subject"],
-            cause=row["statement"],
-        )
-        for row in combined.findings.filter(pl.col("kind") == "type").iter_rows(named=True)
-    ]
     return render_report(
         ReportContent(
             dataset=main.opened.dataset.name,
@@ -296,6 +288,7 @@ def _report(
             operators=combined.operators,
             literals=combined.literals,
             evidence=combined.evidence,
+            findings=combined.findings,
             domains=tuple(
                 DomainText(
                     domain_id=domain_id,

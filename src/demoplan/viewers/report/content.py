@@ -8,6 +8,7 @@ from demoplan.tables import (
     Activities,
     Episodes,
     Evidence,
+    Findings,
     Literals,
     Operators,
     Plans,
@@ -101,6 +102,8 @@ class ReportContent:
     operators: dy.DataFrame[Operators] | None = None
     literals: dy.DataFrame[Literals] | None = None
     evidence: dy.DataFrame[Evidence] | None = None
+    findings: dy.DataFrame[Findings] | None = None
+    """What learning found on the way, of the same domain as the operators."""
     domains: tuple[DomainText, ...] = ()
     """In the order of the matrix's columns."""
     plans: dy.DataFrame[Plans] | None = None

@@ -55,12 +55,36 @@ def render_report(content: ReportContent) -> str:
         has_truth=content.truth is not None and not content.truth.is_empty(),
         confusions=[confusion_grid(confusion) for confusion in content.confusions],
         cards=[(card, swatch(operator_colour(card.activity))) for card in cards],
+        findings=_findings(content),
         domains=[(domain, coloured(domain.text)) for domain in content.domains if domain.text],
         matrix=matrix,
         failures=failure_rows(content, matrix),
         pictures=[(p.caption, base64.b64encode(p.png).decode("ascii")) for p in content.pictures],
         glossary=GLOSSARY,
     )
+
+
+_KINDS = ("type", "misreading", "exclusion", "variant")
+"""Kinds of findings, those to decide on first."""
+
+
+def _findings(content: ReportContent) -> list[tuple[str, str, str, str, str]]:
+    """Kind, subject, statement, odds, and whether operators were learned with it."""
+    if content.findings is None:
+        return []
+    rows = sorted(
+        content.findings.iter_rows(named=True), key=lambda row: (_KINDS.index(row["kind"]), row["subject"])
+    )
+    return [
+        (
+            row["kind"],
+            row["subject"],
+            row["statement"],
+            "" if row["log10_bayes_factor"] is None else f"10^{row['log10_bayes_factor']:.1f}",
+            "applied" if row["is_applied"] else "proposed",
+        )
+        for row in rows
+    ]
 
 
 def _tiles(
