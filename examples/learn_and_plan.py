@@ -36,8 +36,8 @@ for name in ("p1-one-left", "p3-one-right"):
     parts.append(contrast(activities, facts, types))
     print(f"{name}: {' → '.join(activities.filter(pl.col('activity') != 'Idle')['activity'])}")
 
-operators, literals, _ = learn(pl.concat(parts), vocabulary.types, predicates)
-domain = compose(operators, literals, vocabulary.types, predicates, "stacking")
+learned = learn(pl.concat(parts), vocabulary.types, predicates)
+domain = compose(learned.operators, learned.literals, vocabulary.types, predicates, "stacking")
 goal = parse_goal(
     "onTop(cube_yellow, cube_green) & onTop(cube_green, cube_red)", predicates, types, vocabulary.types
 )

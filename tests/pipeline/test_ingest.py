@@ -11,11 +11,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from demoplan.ids import ContentHash
 from demoplan.pipeline.datasets import open_dataset
 from demoplan.pipeline.episodes import activities, episode_stages, ingest, seen
 from demoplan.pipeline.episodes.segment_stages import CONTRAST
 from demoplan.stages.contrast import contrast
 from demoplan.store import Store
+from demoplan.store.sweeping import sweep
+from demoplan.store.verifying import verify
 from demoplan.tables import Activities, Facts, Transitions
 
 
@@ -218,6 +221,16 @@ def test_what_was_done_is_in_the_manifest_even_if_the_rest_fails(opened, tmp_pat
     assert len(store.manifest.episodes()) == 2
 
 
+def test_a_row_that_was_swept_before_the_manifest_named_it_is_there_again(opened, tmp_path):
+    store = Store(tmp_path)
+    done = ingest._ingested(jobs_of(opened, store)[0], store)
+    with ingest.Ledger(store) as ledger:
+        sweep(store, grace_s=0.0)
+        assert not store.objects.has(ContentHash(done.state.tables["episodes"]))
+        ledger.note(done.state, done.seen, done.row)
+    assert [fault for fault in verify(store) if not fault.is_harmless] == []
+
+
 def test_the_manifest_is_written_rarely_however_many_episodes_end(tmp_path):
     class Slow:
         n = 0
@@ -226,8 +239,9 @@ def test_the_manifest_is_written_rarely_however_many_episodes_end(tmp_path):
             Slow.n += 1
             time.sleep(0.02)
 
-    with ingest.Ledger(Store(tmp_path), least_s=0.0) as ledger:
-        ledger._manifest = Slow()
+    store = Store(tmp_path)
+    store.manifest = Slow()
+    with ingest.Ledger(store, least_s=0.0) as ledger:
         start = time.monotonic()
         while time.monotonic() - start < 0.5:
             ledger.note(None)

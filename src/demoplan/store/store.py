@@ -92,7 +92,7 @@ class Store:
             return
         self._waiting = {}
         try:
-            with self._naming():
+            with self.naming():
                 try:
                     with self.place.together():
                         yield
@@ -104,7 +104,7 @@ class Store:
         finally:
             self._waiting = None
 
-    def _naming(self) -> contextlib.AbstractContextManager[None]:
+    def naming(self) -> contextlib.AbstractContextManager[None]:
         """Shared with other writers; sweeping waits, so that no table goes before what names it is there."""
         return self.place.guard(SWEEP, is_shared=True)
 
@@ -142,7 +142,7 @@ class Store:
             return found
         start = time.perf_counter()
         output = function()
-        with self._naming():
+        with self.naming():
             contents = {
                 name: str(self.objects.put(table, schema)) for name, (table, schema) in output.tables.items()
             }

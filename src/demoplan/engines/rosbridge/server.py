@@ -29,11 +29,21 @@ class RunningServer:
         """Run it."""
         self._server = server
         self.port = int(server.socket.getsockname()[1])
-        self._thread = threading.Thread(target=server.serve_forever, daemon=True)
+        self._is_ending = False
+        self._thread = threading.Thread(target=self._serve, daemon=True)
         self._thread.start()
+
+    def _serve(self) -> None:
+        try:
+            self._server.serve_forever()
+        except (OSError, ValueError):
+            # Its socket is closed when it ends, maybe before the thread has got to look at it.
+            if not self._is_ending:
+                raise
 
     def close(self) -> None:
         """End it; clients are told."""
+        self._is_ending = True
         self._server.shutdown()
         self._thread.join(timeout=10.0)
 

@@ -2,7 +2,7 @@
 
 import random
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import dataframely as dy
@@ -50,6 +50,8 @@ class Ingested:
     state: EpisodeState
     seen: Seen | None
     """Its log, as it was read; None if it could not be."""
+    row: Mapping[str, object]
+    """Its row in the table of episodes, which is stored already."""
 
 
 def ingest_episode(job: IngestJob, store: Store | None = None) -> EpisodeState:
@@ -76,7 +78,7 @@ def _ingested(job: IngestJob, store: Store) -> Ingested:
     try:
         return _tried(job, store)
     except ChangedLogError as error:
-        return Ingested(state=_settled(job, EpisodeTables(store), None, "quarantined", str(error)), seen=None)
+        return _settled(job, EpisodeTables(store), None, "quarantined", str(error))
 
 
 def _tried(job: IngestJob, store: Store) -> Ingested:
@@ -92,45 +94,34 @@ def _tried(job: IngestJob, store: Store) -> Ingested:
         raise
     except (DemoplanError, pl.exceptions.PolarsError, dy.exc.ValidationError) as error:
         status, reason = "quarantined", str(error)
-    state = _settled(job, tables, sha256, status, reason)
+    done = _settled(job, tables, sha256, status, reason)
     if sha256 is None:
-        return Ingested(state=state, seen=None)
-    return Ingested(
-        state=state, seen=Seen(signature=signature, sha256=sha256, row=_row_of(job, state, sha256))
-    )
+        return done
+    return replace(done, seen=Seen(signature=signature, sha256=sha256, row=_row_of(job, done.state, sha256)))
 
 
 def _settled(
     job: IngestJob, tables: EpisodeTables, sha256: str | None, status: str, reason: str | None
-) -> EpisodeState:
+) -> Ingested:
     """What the store now holds of an episode, with its row in the table of episodes."""
     store, episode = tables.store, job.episode
     extent = _extent(tables)
-    row = pl.DataFrame(
-        {
-            "episode_id": [episode.id],
-            "dataset": [job.dataset],
-            "file": [episode.file],
-            "sha256": [sha256],
-            "participant": [episode.participant],
-            "task": [episode.task],
-            "is_goal_reached": [episode.is_goal_reached],
-            "status": [status],
-            "reason": [reason],
-            "start_ns": [extent[0]],
-            "end_ns": [extent[1]],
-        },
-        schema_overrides={
-            "sha256": pl.String,
-            "is_goal_reached": pl.Boolean,
-            "reason": pl.String,
-            "start_ns": pl.Int64,
-            "end_ns": pl.Int64,
-        },
-    )
-    contents = tables.contents | {"episodes": str(store.objects.put(row, Episodes))}
+    row = {
+        "episode_id": episode.id,
+        "dataset": job.dataset,
+        "file": episode.file,
+        "sha256": sha256,
+        "participant": episode.participant,
+        "task": episode.task,
+        "is_goal_reached": episode.is_goal_reached,
+        "status": status,
+        "reason": reason,
+        "start_ns": extent[0],
+        "end_ns": extent[1],
+    }
+    contents = tables.contents | {"episodes": _stored_row(store, row)}
     attempt = tables.attempt if status == "quarantined" else None
-    return EpisodeState(
+    state = EpisodeState(
         dataset=job.dataset,
         episode_id=episode.id,
         tables=contents,
@@ -139,6 +130,22 @@ def _settled(
         reason=reason,
         attempt=attempt,
     )
+    return Ingested(state=state, seen=None, row=row)
+
+
+def _stored_row(store: Store, row: Mapping[str, object]) -> str:
+    """The content hash of a table of episodes that has just this row."""
+    table = pl.DataFrame(
+        {name: [value] for name, value in row.items()},
+        schema_overrides={
+            "sha256": pl.String,
+            "is_goal_reached": pl.Boolean,
+            "reason": pl.String,
+            "start_ns": pl.Int64,
+            "end_ns": pl.Int64,
+        },
+    )
+    return str(store.objects.put(table, Episodes))
 
 
 def _extent(tables: EpisodeTables) -> tuple[int | None, int | None]:
@@ -192,7 +199,7 @@ def ingest(
         for done in _run(store, waiting, crew or Processes(n_workers)):
             old = before.get((done.state.dataset, done.state.episode_id))
             state = _with_what_still_holds(done.state, old)
-            ledger.note(state, done.seen)
+            ledger.note(state, done.seen, done.row)
             states.append(state)
             on_done(state)
     return sorted(states, key=lambda state: state.episode_id)
@@ -224,9 +231,11 @@ class Ledger:
     def __init__(self, store: Store, least_s: float = 1.0, most_share: float = 0.05) -> None:
         """Write at most so often, and for at most that share of the time."""
         self.seen = SeenLogs(store)
-        self._manifest = store.manifest
+        self._store = store
         self._least_s, self._most_share = least_s, most_share
         self._states: list[EpisodeState] = []
+        self._rows: dict[str, Mapping[str, object]] = {}
+        """By content hash."""
         self._due_s = time.monotonic() + least_s
 
     def __enter__(self) -> "Ledger":
@@ -235,9 +244,13 @@ class Ledger:
     def __exit__(self, *_: object) -> None:
         self._write()
 
-    def note(self, state: EpisodeState, seen: Seen | None = None) -> None:
+    def note(
+        self, state: EpisodeState, seen: Seen | None = None, row: Mapping[str, object] | None = None
+    ) -> None:
         """Take up an episode."""
         self._states.append(state)
+        if row is not None:
+            self._rows[state.tables["episodes"]] = row
         if seen is not None:
             self.seen.note(state.dataset, state.episode_id, seen)
         if time.monotonic() >= self._due_s:
@@ -246,8 +259,13 @@ class Ledger:
     def _write(self) -> None:
         start_s = time.monotonic()
         if self._states:
-            self._manifest.update(self._states)
-            self._states = []
+            with self._store.naming():
+                # No record names these rows, so they may have been swept before the manifest could.
+                for content, row in self._rows.items():
+                    if not self._store.objects.has(ContentHash(content)):
+                        _stored_row(self._store, row)
+                self._store.manifest.update(self._states)
+            self._states, self._rows = [], {}
         self.seen.keep()
         now_s = time.monotonic()
         self._due_s = now_s + max(self._least_s, (now_s - start_s) / self._most_share)
@@ -366,4 +384,4 @@ def _job_of(order: IngestOrder) -> IngestJob:
 def _died(job: IngestJob, store: Store) -> Ingested:
     """What is known of an episode whose worker died each time it was tried."""
     reason = f"{job.log}: every process that read it died (out of memory?)"
-    return Ingested(state=_settled(job, EpisodeTables(store), None, "quarantined", reason), seen=None)
+    return _settled(job, EpisodeTables(store), None, "quarantined", reason)
