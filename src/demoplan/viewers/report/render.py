@@ -81,7 +81,7 @@ def _findings(content: ReportContent) -> list[tuple[str, str, str, str, str]]:
             row["subject"],
             row["statement"],
             "" if row["log10_bayes_factor"] is None else f"10^{row['log10_bayes_factor']:.1f}",
-            "applied" if row["is_applied"] else "proposed",
+            "applied" if row["is_applied"] else "proposed" if row["kind"] == "type" else "",
         )
         for row in rows
     ]
