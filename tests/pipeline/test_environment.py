@@ -2,14 +2,14 @@ from importlib import metadata
 
 import pytest
 
-from demoplan.errors import PlannerError
+from demoplan.errors import PlannerError, StoreError
 from demoplan.pipeline import environment
 from demoplan.pipeline.environment import CHECKS, Machine, examine
 
 
 def look(part, tmp_path, **variables):
     return list(
-        CHECKS[part](Machine(environment=variables, store=tmp_path / "not" / "there", timeout_s=30.0))
+        CHECKS[part](Machine(environment=variables, store=str(tmp_path / "not" / "there"), timeout_s=30.0))
     )
 
 
@@ -141,7 +141,19 @@ def test_drawing_that_fails_is_told_with_its_reason(tmp_path, monkeypatch):
 
 def test_every_part_says_something(tmp_path):
     done = []
-    findings = examine(Machine(environment={}, store=tmp_path, timeout_s=30.0), done.append)
+    findings = examine(Machine(environment={}, store=str(tmp_path), timeout_s=30.0), done.append)
     assert done == list(CHECKS)
     assert {finding.subject for finding in findings} == set(CHECKS)
     assert all(f.remedy for f in findings if f.severity == "absent")
+
+
+def test_a_bucket_that_does_not_answer_is_said_to_be_so(monkeypatch):
+    pytest.importorskip("obstore")
+    monkeypatch.setattr(environment, "open_place", lambda _: _Silent())
+    (finding,) = CHECKS["store"](Machine(environment={}, store="s3://lab/store"))
+    assert (finding.severity, "s3://lab" in finding.sentence) == ("error", True)
+
+
+class _Silent:
+    def exists(self):
+        raise StoreError("s3://lab/store does not answer")

@@ -241,7 +241,7 @@ def _examine(store: str, *, as_json: bool) -> Exit:
     from demoplan.pipeline.environment import examine as examine_all
 
     with progress("examine", len(CHECKS)) as done:
-        findings = examine_all(Machine(environment=os.environ, store=Path(store).absolute()), done)
+        findings = examine_all(Machine(environment=os.environ, store=store), done)
     if as_json:
         print_json([asdict(finding) for finding in findings])
     else:

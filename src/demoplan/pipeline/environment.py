@@ -19,6 +19,7 @@ from demoplan.engines.fast_downward import SolveParams, solve
 from demoplan.errors import DemoplanError
 from demoplan.language.pddl import parse_domain, parse_problem
 from demoplan.store.atomic import PART, locked, write_bytes
+from demoplan.store.opening import open_place
 
 DISTRIBUTION = "demoplan"
 
@@ -64,7 +65,7 @@ class Machine:
     """What is looked at; all of it can be given, so that it can be tested."""
 
     environment: Mapping[str, str]
-    store: Path
+    store: str
     timeout_s: float = 60.0
 
 
@@ -206,7 +207,10 @@ def _processes(machine: Machine) -> Iterator[Finding]:
 
 
 def _store(machine: Machine) -> Iterator[Finding]:
-    folder = machine.store
+    if "://" in machine.store:
+        yield from _bucket(machine.store)
+        return
+    folder = Path(machine.store).absolute()
     while not folder.exists() and folder != folder.parent:
         folder = folder.parent
     free = shutil.disk_usage(folder).free
@@ -227,6 +231,15 @@ def _store(machine: Machine) -> Iterator[Finding]:
         )
         return
     yield Finding("store", "ok", f"{folder} can be written, locked and replaced in; {free / 1e9:.0f} GB free")
+
+
+def _bucket(location: str) -> Iterator[Finding]:
+    try:
+        is_there = open_place(location).exists()
+    except DemoplanError as error:
+        yield Finding("store", "error", str(error), "credentials and endpoint come from AWS_… variables")
+        return
+    yield Finding("store", "ok", f"{location} answers; {'a store is' if is_there else 'no store is yet'} there")
 
 
 def _database(machine: Machine) -> Iterator[Finding]:
