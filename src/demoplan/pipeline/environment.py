@@ -239,7 +239,8 @@ def _bucket(location: str) -> Iterator[Finding]:
     except DemoplanError as error:
         yield Finding("store", "error", str(error), "credentials and endpoint come from AWS_… variables")
         return
-    yield Finding("store", "ok", f"{location} answers; {'a store is' if is_there else 'no store is yet'} there")
+    known = "a store is there" if is_there else "no store is there yet"
+    yield Finding("store", "ok", f"{location} answers: {known}")
 
 
 def _database(machine: Machine) -> Iterator[Finding]:
