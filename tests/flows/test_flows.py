@@ -229,6 +229,8 @@ def test_robots_carry_out_what_was_planned_and_the_matrix_says_how_often(lab, tm
     pytest.importorskip("mujoco")
     from flows.evaluate import evaluate
 
+    from demoplan.pipeline.datasets import open_dataset
+
     goals = tmp_path / "goals.yaml"
     goals.write_text("goals:\n  - {name: one, goal: 'onTop(cube_red,cube_blue)'}\n")
     arguments = {
@@ -241,7 +243,8 @@ def test_robots_carry_out_what_was_planned_and_the_matrix_says_how_often(lab, tm
     asyncio.run(evaluate(lab, **arguments))
     found = artifacts("simulated")
     rows = json.loads(found["simulated-lab-gripper"].data)
-    assert {row["domain"] for row in rows} == {"lab", "lab--p1-one-left", "lab--p1-two-right"}
+    episodes = [each.id for each in open_dataset(lab).dataset.episodes]
+    assert {row["domain"] for row in rows} == {"lab", *(f"lab--{name}" for name in episodes)}
     assert {row["one"] for row in rows} == {"1 of 1"}
     assert (tmp_path / "store/reports/lab-gripper.html").is_file()
     assert "lab-gripper.html" in found["simulated-report-lab-gripper"].data

@@ -90,7 +90,9 @@ class DomainStore:
         ]
         if findings is not None:
             tables.append((findings, Findings))
-        stored = self._known(version) or self._written(version, text, tables)
+        # Two that learned the same text from other evidence would both take its folder for free.
+        with self._place.guard(self.folder):
+            stored = self._known(version) or self._written(version, text, tables)
         published = Publication(
             domain_id=stored.domain_id, snapshot=version.snapshot, made_at_ns=time.time_ns()
         )
@@ -136,10 +138,14 @@ class DomainStore:
                 self._place.settle(draft, f"{folder}/domain.pddl")
         parent = version.parent or (latest.domain_id if latest else None)
         fields = asdict(version) | {"tables": contents, "parent": parent}
-        self._place.create(
+        is_new = self._place.create(
             f"{folder}/metadata.json", (json.dumps(fields, sort_keys=True, indent=1) + "\n").encode()
         )
-        return self._read(folder)
+        stored = self._read(folder)
+        if not is_new and stored.snapshot != version.snapshot:
+            # Where nobody can be held off, another was quicker.
+            return self._written(version, text, tables)
+        return stored
 
     def history(self, name: str) -> list[Publication]:
         """Which version a name stood for, from the first on; one that came back is named again.
