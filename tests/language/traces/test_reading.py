@@ -252,6 +252,7 @@ def test_a_hostile_file_takes_no_longer_than_a_friendly_one(piece):
 
 @given(st.text(alphabet="() aL1:-\n", max_size=30), st.integers(0, len(AMLGYM)))
 @example(":state", 13)
+@example(")(", 42)
 @example("(dark)", 25)
 @example(")", len(AMLGYM))
 @settings(max_examples=300, deadline=None)

@@ -94,6 +94,7 @@ def _checked(kind: Codes, n_closed: Codes, leaf: Codes) -> RegularTrace | None:
     turns = kind[opened]
     if (
         kind[0] != _HEAD
+        or (kind[1:] == _HEAD).any()
         or depth[-1] != 0
         or (depth + n_closed != _DEPTH[kind]).any()
         or len(turns) < _FEWEST
