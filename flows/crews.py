@@ -1,5 +1,6 @@
 """Who works on episodes: processes here, or the workers of a Dask or Ray cluster. One setting says which."""
 
+import asyncio
 import os
 import sys
 from collections import deque
@@ -18,6 +19,8 @@ from prefect.task_runners import TaskRunner, ThreadPoolTaskRunner
 
 from demoplan.errors import UsageError
 from demoplan.pipeline.crews import Crew, Processes
+from demoplan.pipeline.reporting import Progress
+from flows.progress import ArtifactProgress
 
 Order = TypeVar("Order")
 Result = TypeVar("Result")
@@ -80,6 +83,17 @@ def crew_of(place: Workplace) -> Iterator[Crew]:
         runner, deaths, options = _RUNNERS[place.runner](place)
         stack.enter_context(options)
         yield TaskCrew(stack.enter_context(runner), deaths, place.n_workers)
+
+
+async def in_crew(place: Workplace, work: Callable[[Crew, Progress], Result]) -> Result:
+    """What some work gives that has a crew, in a thread of its own; how far it is becomes an artifact."""
+    progress = ArtifactProgress()
+
+    def whole() -> Result:
+        with crew_of(place) as crew:
+            return work(crew, progress)
+
+    return await asyncio.to_thread(whole)
 
 
 @task(name="work", tags=["cpu"], cache_policy=NO_CACHE, persist_result=False, log_prints=False)

@@ -7,11 +7,9 @@ from typing import Annotated, Literal
 from prefect import flow, task
 from pydantic import Field
 
-from demoplan.pipeline.datasets import OpenDataset
 from demoplan.pipeline.execution.simulate import Batch, Simulated, keep_report, simulate
 from demoplan.pipeline.run import RunResult, run
-from demoplan.store import Store
-from flows.crews import Workplace, crew_of, workplace
+from flows.crews import Workplace, in_crew, workplace
 from flows.edges import EDGE
 from flows.inputs import Address, Runner, Workers, opened, store_at
 from flows.progress import ArtifactProgress
@@ -27,15 +25,13 @@ async def run_study(
     dataset: Path, store: str, root: Path | None, segmenter: str, place: Workplace
 ) -> RunResult:
     """The planning study of a dataset; attempts that were made before are not made again."""
-    data = opened(dataset, root)
-    return await asyncio.to_thread(_study, data, store_at(store), segmenter, place, ArtifactProgress())
-
-
-def _study(
-    data: OpenDataset, store: Store, segmenter: str, place: Workplace, progress: ArtifactProgress
-) -> RunResult:
-    with crew_of(place) as crew:
-        return run(data, store, segmenter=segmenter, n_workers=place.n_workers, crew=crew, progress=progress)
+    data, kept, n_workers = opened(dataset, root), store_at(store), place.n_workers
+    return await in_crew(
+        place,
+        lambda crew, progress: run(
+            data, kept, segmenter=segmenter, n_workers=n_workers, crew=crew, progress=progress
+        ),
+    )
 
 
 @task(name="simulate", tags=["cpu", "simulation"], **EDGE)

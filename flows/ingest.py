@@ -6,17 +6,17 @@ from pathlib import Path
 from prefect import flow, task
 from prefect.logging import get_run_logger
 
-from demoplan.pipeline.datasets import OpenDataset, remember
+from demoplan.pipeline.crews import Crew
+from demoplan.pipeline.datasets import OpenDataset
 from demoplan.pipeline.episodes.arrivals import ArrivalParams, enrol, find_arrivals
 from demoplan.pipeline.episodes.fetching import fetch_logs
-from demoplan.pipeline.episodes.ingest import ingest as ingest_jobs
-from demoplan.pipeline.episodes.ingest import jobs_of
+from demoplan.pipeline.episodes.ingest import ingest_dataset
+from demoplan.pipeline.reporting import Progress
 from demoplan.store import EpisodeState, Store
 from demoplan.store.opening import open_place
-from flows.crews import Workplace, crew_of, workplace
+from flows.crews import Workplace, in_crew, workplace
 from flows.edges import EDGE
 from flows.inputs import Address, Bucket, QuietSeconds, Runner, Workers, opened, store_at
-from flows.progress import ArtifactProgress
 from flows.showing import show_episodes
 
 
@@ -43,21 +43,14 @@ async def enrol_arrivals(dataset: Path, root: Path | None, pattern: str, quiet_s
 
 
 @task(name="read, align, perceive", tags=["disk", "cpu"], **EDGE)
-async def ingest_dataset(
-    dataset: Path, store: str, root: Path | None, place: Workplace
-) -> list[EpisodeState]:
+async def ingest_all(dataset: Path, store: str, root: Path | None, place: Workplace) -> list[EpisodeState]:
     """Ingest every episode."""
-    data = opened(dataset, root)
-    return await asyncio.to_thread(_ingest, data, store_at(store), place, ArtifactProgress())
+    data, kept = opened(dataset, root), store_at(store)
+    return await in_crew(place, lambda crew, progress: _ingest(data, kept, crew, progress))
 
 
-def _ingest(
-    data: OpenDataset, store: Store, place: Workplace, progress: ArtifactProgress
-) -> list[EpisodeState]:
-    remember(data, store)
-    jobs = jobs_of(data, store, data.dataset.episodes)
-    with progress(f"ingest {data.dataset.name}", len(jobs)) as done, crew_of(place) as crew:
-        states = ingest_jobs(jobs, crew=crew, on_done=lambda s: done(f"{s.episode_id} {s.status}"))
+def _ingest(data: OpenDataset, store: Store, crew: Crew, progress: Progress) -> list[EpisodeState]:
+    states = ingest_dataset(data, store, crew=crew, progress=progress)
     store.snapshots.take(store.manifest.episodes(), f"ingest {data.dataset.name}")
     return states
 
@@ -92,6 +85,6 @@ async def ingest(
         await fetch_arrivals(dataset, root, bucket, quiet_s)
     if pattern:
         await enrol_arrivals(dataset, root, pattern, quiet_s)
-    states = await ingest_dataset(dataset, store, root, workplace(runner, address, workers))
+    states = await ingest_all(dataset, store, root, workplace(runner, address, workers))
     await show_episodes(states[0].dataset if states else "none", states)
     return states

@@ -1,17 +1,13 @@
 """Tables to the next version of a dataset's domain."""
 
-import asyncio
 from pathlib import Path
 
 from prefect import flow, task
 
-from demoplan.pipeline.datasets import OpenDataset
 from demoplan.pipeline.upkeep.versions import NewVersion, learn_version
-from demoplan.store import Store
-from flows.crews import Workplace, crew_of, workplace
+from flows.crews import Workplace, in_crew, workplace
 from flows.edges import EDGE
 from flows.inputs import Address, Runner, Workers, opened, store_at
-from flows.progress import ArtifactProgress
 from flows.showing import show_episodes, show_version
 
 
@@ -20,15 +16,11 @@ async def learn_dataset(
     dataset: Path, store: str, root: Path | None, segmenter: str, place: Workplace
 ) -> NewVersion:
     """Segment what is stale, and learn; a version is added if it says something new."""
-    data = opened(dataset, root)
-    return await asyncio.to_thread(_learn, data, store_at(store), segmenter, place, ArtifactProgress())
-
-
-def _learn(
-    data: OpenDataset, store: Store, segmenter: str, place: Workplace, progress: ArtifactProgress
-) -> NewVersion:
-    with crew_of(place) as crew:
-        return learn_version(data, store, segmenter=segmenter, crew=crew, progress=progress)
+    data, kept = opened(dataset, root), store_at(store)
+    return await in_crew(
+        place,
+        lambda crew, progress: learn_version(data, kept, segmenter=segmenter, crew=crew, progress=progress),
+    )
 
 
 @flow(name="learn", persist_result=False)

@@ -6,14 +6,15 @@ import os
 from prefect import flow, task
 from prefect.artifacts import acreate_markdown_artifact
 
+from demoplan.pipeline.crews import Crew
+from demoplan.pipeline.reporting import Progress
 from demoplan.pipeline.upkeep.reprocess import Reprocessed
 from demoplan.pipeline.upkeep.reprocess import reprocess as run_again
 from demoplan.pipeline.upkeep.staleness import StalePlan, find_stale, selected, total_cost_s
 from demoplan.store import Store
-from flows.crews import Workplace, crew_of, workplace
+from flows.crews import Workplace, in_crew, workplace
 from flows.edges import EDGE
 from flows.inputs import Address, Runner, Workers, store_at
-from flows.progress import ArtifactProgress
 from flows.showing import changes_text, key_of, show_stale
 
 
@@ -26,13 +27,13 @@ async def look(store: str) -> StalePlan:
 @task(name="run what is stale", tags=["disk", "cpu"], **EDGE)
 async def work(store: str, where: str | None, place: Workplace) -> Reprocessed:
     """Run what is stale now: looked up again, so that a second try does not repeat what the first did."""
-    return await asyncio.to_thread(_work, store_at(store), where, place, ArtifactProgress())
+    kept = store_at(store)
+    return await in_crew(place, lambda crew, progress: _again(kept, where, crew, progress))
 
 
-def _work(store: Store, where: str | None, place: Workplace, progress: ArtifactProgress) -> Reprocessed:
+def _again(store: Store, where: str | None, crew: Crew, progress: Progress) -> Reprocessed:
     plan = find_stale(store, dict(os.environ))
-    with crew_of(place) as crew:
-        return run_again(store, plan, selected(plan, where), crew=crew, progress=progress)
+    return run_again(store, plan, selected(plan, where), crew=crew, progress=progress)
 
 
 @flow(name="reprocess", persist_result=False)

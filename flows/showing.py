@@ -131,10 +131,7 @@ async def show_stale(rows: pl.DataFrame, cost_s: float) -> None:
 async def show_links(store: Store, dataset: str, report: str | None) -> None:
     """Where the report and the recordings are."""
     if report is not None:
-        link = report if "://" in report else Path(report).resolve().as_uri()
-        await acreate_link_artifact(
-            key=key_of("report", dataset), link=link, link_text=report.rpartition("/")[2]
-        )
+        await show_report(key_of("report", dataset), report)
     if store.place.path("") is None:
         return
     recordings = sorted((store.root / "recordings" / dataset).glob("*.rrd"))[:MOST_ROWS]
@@ -143,6 +140,12 @@ async def show_links(store: Store, dataset: str, report: str | None) -> None:
         await acreate_markdown_artifact(
             key=key_of("recordings", dataset), markdown="\n".join(lines), description="Recordings for rerun"
         )
+
+
+async def show_report(key: str, report: str) -> None:
+    """Where a report is: a path on this machine, or a URL."""
+    link = report if "://" in report else Path(report).resolve().as_uri()
+    await acreate_link_artifact(key=key, link=link, link_text=report.rpartition("/")[2])
 
 
 def _escaped(text: str) -> str:

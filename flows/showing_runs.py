@@ -1,12 +1,10 @@
 """Runs of robots as Prefect artifacts: how often each domain reached each goal, and where the page is."""
 
-from pathlib import Path
-
-from prefect.artifacts import acreate_link_artifact, acreate_table_artifact
+from prefect.artifacts import acreate_table_artifact
 
 from demoplan.pipeline.execution.evaluate import Evaluation
 from demoplan.viewers.report.execution import run_matrices
-from flows.showing import key_of
+from flows.showing import key_of, show_report
 
 
 async def show_runs(dataset: str, robot: str, evaluation: Evaluation, report: str) -> None:
@@ -16,10 +14,7 @@ async def show_runs(dataset: str, robot: str, evaluation: Evaluation, report: st
         table=runs_matrix(evaluation),
         description=f"{dataset} on {robot}: {evaluation.runs.height} runs, goals reached by physics",
     )
-    link = report if "://" in report else Path(report).resolve().as_uri()
-    await acreate_link_artifact(
-        key=key_of("simulated-report", dataset, robot), link=link, link_text=report.rpartition("/")[2]
-    )
+    await show_report(key_of("simulated-report", dataset, robot), report)
 
 
 def runs_matrix(evaluation: Evaluation) -> list[dict[str, str]]:

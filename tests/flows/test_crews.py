@@ -147,7 +147,8 @@ def test_a_cluster_gives_the_bytes_of_a_local_run_though_workers_are_killed(
 
     # As a deployment loads it: not by the name under which a worker would import it.
     flow = load_flow_from_entrypoint(f"{CHECKOUT}/flows/ingest.py:ingest")
-    crew_of = flow.fn.__globals__["crew_of"]
+    crews = flow.fn.__globals__["in_crew"].__globals__
+    crew_of = crews["crew_of"]
     counted = []
 
     @contextmanager
@@ -160,7 +161,7 @@ def test_a_cluster_gives_the_bytes_of_a_local_run_though_workers_are_killed(
 
             yield give
 
-    monkeypatch.setitem(flow.fn.__globals__, "crew_of", dying_crew)
+    monkeypatch.setitem(crews, "crew_of", dying_crew)
     states = asyncio.run(flow(DATASET, store=str(tmp_path / "there"), workers=2, runner=runner))
     sys.modules.pop("dying")
     assert len(counted) == len(states) == 12

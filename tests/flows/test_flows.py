@@ -76,7 +76,7 @@ def test_every_deployment_names_a_flow_that_takes_its_parameters_and_waits_to_be
 def test_only_tasks_at_the_edges_are_tried_again_and_none_is_cached():
     from flows import evaluate, ingest, learn, reprocess
 
-    tasks = [ingest.enrol_arrivals, ingest.ingest_dataset, learn.learn_dataset, evaluate.run_study]
+    tasks = [ingest.enrol_arrivals, ingest.ingest_all, learn.learn_dataset, evaluate.run_study]
     tasks += [reprocess.look, reprocess.work]
     for task in tasks:
         assert task.retries > 0

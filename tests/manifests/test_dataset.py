@@ -38,6 +38,9 @@ def test_a_complete_dataset_is_read():
         ("file: one.mcap", "file: ../../etc/passwd", 11, ["leaves the dataset's root"]),
         ("file: one.mcap", "file: /etc/passwd", 11, ["leaves the dataset's root"]),
         ("test: [one]", "test: [two]", 13, ["two", "one"]),
+        ("test: [one]", "train: []\n  test:\n    - one\n    - two", 16, ["two", "one"]),
+        ("cube_frame: cube", "cube: cube, frame: box", 8, ["box", "Right_hand"]),
+        ("vocabulary: v.yaml", "%YAML 1.1\n---\nvocabulary: v.yaml", 3, ["not YAML"]),
         ("name: tiny", "name: tiny\nname: twice", 2, ["not YAML"]),
         ("name: tiny", "name: [", 3, ["not YAML"]),
         ("name: tiny", "tick_rate_hz: -1\nname: tiny", 1, ["tick_rate_hz", "greater than 0"]),
@@ -73,6 +76,14 @@ def test_aliases_that_multiply_without_end_are_refused():
         bomb += f"a{i}: &a{i} [" + ", ".join([f"*a{i - 1}"] * 10) + "]\n"
     with pytest.raises(ManifestError, match="refused"):
         parse_dataset(bomb, "dataset.yaml")
+
+
+@pytest.mark.parametrize(
+    "text", ["a: " + "[" * 200_000, "a: " + "{a: " * 50_000 + "}" * 50_000, "- " * 9_000]
+)
+def test_a_text_without_a_floor_is_refused(text):
+    with pytest.raises(ManifestError, match="nested too deeply|not YAML"):
+        parse_dataset(text, "dataset.yaml")
 
 
 def test_tags_that_name_a_type_of_a_language_are_not_followed():

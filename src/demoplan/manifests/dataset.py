@@ -1,12 +1,12 @@
 """A dataset: its episodes, and what is known of each."""
 
+from collections.abc import Iterator
 from pathlib import Path, PurePosixPath
 from typing import Annotated
 
 from pydantic import Field
 
-from demoplan.errors import ManifestError
-from demoplan.manifests.loading import load_yaml
+from demoplan.manifests.loading import Location, load_yaml
 from demoplan.manifests.mapping import BodiesTopic, Mapping, Strict, TransformsTopic
 
 SafeName = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,127}$")]
@@ -76,38 +76,41 @@ def parse_dataset(text: str, path: Path | str) -> Dataset:
         ManifestError: If its form is wrong, an episode's id or a goal's name is used twice, a path leaves the
             root, a topic feeds an entity that is not listed, or a split names an episode that does not exist.
     """
-    dataset = load_yaml(text, path, Dataset, unique={"episodes": "id", "goals": "name"})
-    lines = text.splitlines()
+    return load_yaml(text, path, Dataset, unique={"episodes": "id", "goals": "name"}, check=_problems)
 
-    def refuse(problem: str, word: str) -> ManifestError:
-        line = next((number for number, line in enumerate(lines, 1) if word in line), None)
-        return ManifestError(path, line, problem)
 
-    ids = [episode.id for episode in dataset.episodes]
-    for episode in dataset.episodes:
-        for file in filter(None, (episode.file, episode.labels)):
-            if PurePosixPath(file).is_absolute() or ".." in PurePosixPath(file).parts or "\\" in file:
-                raise refuse(
+def _problems(dataset: Dataset) -> Iterator[tuple[Location, str]]:
+    """What the form alone does not rule out."""
+    for number, episode in enumerate(dataset.episodes):
+        for key, file in (("file", episode.file), ("labels", episode.labels)):
+            if file and (
+                PurePosixPath(file).is_absolute() or ".." in PurePosixPath(file).parts or "\\" in file
+            ):
+                yield (
+                    ("episodes", number, key),
                     f"episode {episode.id!r}: file {file!r} leaves the dataset's root; "
                     "give a path below it, without '..'",
-                    file,
                 )
     entities = dataset.mapping.entities
-    for topic_name, topic in dataset.mapping.topics.items():
-        fed = topic.entities.values() if isinstance(topic, TransformsTopic | BodiesTopic) else (topic.entity,)
-        for entity in fed:
+    for name, topic in dataset.mapping.topics.items():
+        fed: list[tuple[Location, str]]
+        if isinstance(topic, TransformsTopic | BodiesTopic):
+            fed = [(("entities", frame), entity) for frame, entity in topic.entities.items()]
+        else:
+            fed = [(("entity",), topic.entity)]
+        for part, entity in fed:
             if entity not in entities:
-                raise refuse(
-                    f"topic {topic_name!r} feeds entity {entity!r}, which mapping.entities does not list; "
+                yield (
+                    ("mapping", "topics", name, *part),
+                    f"topic {name!r} feeds entity {entity!r}, which mapping.entities does not list; "
                     f"listed: {', '.join(sorted(entities))}",
-                    entity,
                 )
+    ids = {episode.id for episode in dataset.episodes}
     for split, members in dataset.splits.items():
-        for member in members:
+        for number, member in enumerate(members):
             if member not in ids:
-                raise refuse(
+                yield (
+                    ("splits", split, number),
                     f"split {split!r} names episode {member!r}, which does not exist; "
-                    f"episodes: {', '.join(ids)}",
-                    split,
+                    f"episodes: {', '.join(episode.id for episode in dataset.episodes)}",
                 )
-    return dataset

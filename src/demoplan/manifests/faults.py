@@ -10,10 +10,10 @@ from typing import Literal as Choice
 
 from pydantic import Field, field_validator
 
-from demoplan.errors import PddlError, UsageError
+from demoplan.errors import PddlError
 from demoplan.language.atoms import Atom, Literal
 from demoplan.manifests.dataset import SafeName
-from demoplan.manifests.loading import load_yaml
+from demoplan.manifests.loading import load_yaml, read_text
 from demoplan.manifests.mapping import Strict
 
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
@@ -167,10 +167,7 @@ def parse_faults(text: str, path: Path | str) -> tuple[AnyFault, ...]:
 
 def read_faults(path: Path) -> tuple[AnyFault, ...]:
     """The faults that a file describes; see :func:`parse_faults`."""
-    try:
-        return parse_faults(path.read_text(encoding="utf-8"), path)
-    except (OSError, UnicodeDecodeError) as error:
-        raise UsageError(f"{path}: cannot be read: {error}") from None
+    return parse_faults(read_text(path), path)
 
 
 def literal_of(text: str) -> Literal:

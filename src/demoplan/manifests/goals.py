@@ -4,9 +4,8 @@ from pathlib import Path
 
 from pydantic import Field
 
-from demoplan.errors import UsageError
 from demoplan.manifests.dataset import SafeName
-from demoplan.manifests.loading import load_yaml
+from demoplan.manifests.loading import load_yaml, read_text
 from demoplan.manifests.mapping import Strict
 
 
@@ -43,7 +42,4 @@ def parse_goals(text: str, path: Path | str) -> tuple[GoalCase, ...]:
 
 def read_goals(path: Path) -> tuple[GoalCase, ...]:
     """The goals that a file describes; see :func:`parse_goals`."""
-    try:
-        return parse_goals(path.read_text(encoding="utf-8"), path)
-    except (OSError, UnicodeDecodeError) as error:
-        raise UsageError(f"{path}: cannot be read: {error}") from None
+    return parse_goals(read_text(path), path)

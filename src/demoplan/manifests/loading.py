@@ -1,23 +1,58 @@
 """YAML text to a validated value, with errors that name the line."""
 
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeAlias, TypeVar
 
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 from ruamel.yaml import YAML
 from ruamel.yaml.error import MarkedYAMLError, YAMLError
+from ruamel.yaml.events import CollectionEndEvent, CollectionStartEvent
 
-from demoplan.errors import ManifestError
+from demoplan.errors import ManifestError, UsageError
 
 Model = TypeVar("Model", bound=BaseModel)
+
+Location: TypeAlias = tuple[str | int, ...]
+"""Keys and numbers that lead from the top of a text to a part of it."""
+
+Check: TypeAlias = Callable[[Model], Iterable[tuple[Location, str]]]
+"""From a value to what is wrong with it, each with its place."""
+
+_HAS_DIRECTIVE = re.compile(r"^%", re.MULTILINE)
+"""``%YAML 1.1`` and the like: the quick parser does not follow them."""
+
+_DEEPEST = 100
+"""Levels of nesting that the quick parser is given."""
 
 _MOST_NODES = 1_000_000
 """A file that unfolds into more values than this is refused: aliases can multiply without end."""
 
 
-def load_yaml(text: str, path: Path | str, model: type[Model], *, unique: Mapping[str, str] = {}) -> Model:
+def read_text(path: Path) -> str:
+    """The text of a file that somebody named.
+
+    Raises:
+        UsageError: If it is not there, cannot be read, or is not UTF-8.
+    """
+    try:
+        return path.read_text(encoding="utf-8")
+    except FileNotFoundError:
+        raise UsageError(f"{path}: cannot be read: no such file") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise UsageError(f"{path}: cannot be read: {error}") from None
+
+
+def load_yaml(
+    text: str,
+    path: Path | str,
+    model: type[Model],
+    *,
+    unique: Mapping[str, str] = {},
+    check: Check[Model] = lambda _: (),
+) -> Model:
     """The value that a YAML text describes.
 
     Args:
@@ -25,12 +60,42 @@ def load_yaml(text: str, path: Path | str, model: type[Model], *, unique: Mappin
         path: Where the text comes from, for messages.
         model: What it must be.
         unique: List of the text → key that tells its entries apart: no two may have the same there.
+        check: What else is wrong with a value of the right form, and where in it.
 
     Raises:
         ManifestError: If the text is not YAML, or breaks the model's contract; every problem is listed, the
-            first with its line. Or if two entries of a list go by one name; with the line of the second.
+            first with its line. Or if two entries of a list go by one name; with the line of the second. Or
+            if ``check`` finds a problem; with the line of the first.
     """
-    yaml = YAML(typ="rt", pure=True)
+    if not _HAS_DIRECTIVE.search(text) and _is_shallow(text):
+        try:
+            return _value(YAML(typ="safe"), text, path, model, unique, check)
+        except ManifestError:
+            pass  # The parser that knows lines, and takes four times as long, has the last word.
+    return _value(YAML(typ="rt", pure=True), text, path, model, unique, check)
+
+
+def _is_shallow(text: str) -> bool:
+    """Whether the quick parser can follow: it recurses without looking where its stack ends."""
+    depth = 0
+    try:
+        for event in YAML(typ="safe").parse(text):
+            depth += isinstance(event, CollectionStartEvent) - isinstance(event, CollectionEndEvent)
+            if depth > _DEEPEST:
+                return False
+    except YAMLError:
+        return False
+    return True
+
+
+def _value(
+    yaml: YAML,
+    text: str,
+    path: Path | str,
+    model: type[Model],
+    unique: Mapping[str, str],
+    check: Check[Model],
+) -> Model:
     yaml.allow_duplicate_keys = False
     try:
         tree = yaml.load(text)
@@ -40,6 +105,8 @@ def load_yaml(text: str, path: Path | str, model: type[Model], *, unique: Mappin
         raise ManifestError(path, line, f"not YAML: {problem}") from None
     except YAMLError as error:
         raise ManifestError(path, None, f"not YAML: {error}") from None
+    except RecursionError:
+        raise ManifestError(path, None, "refused: nested too deeply") from None
     try:
         plain = _plain(tree, [_MOST_NODES])
     except ValueError as error:
@@ -57,6 +124,8 @@ def load_yaml(text: str, path: Path | str, model: type[Model], *, unique: Mappin
         raise ManifestError(path, first_line, first + "".join(rest) + more) from None
     for listed, key in unique.items():
         _refuse_repeats(tree, path, listed, key)
+    for where, problem in check(value):
+        raise ManifestError(path, _line_of(tree, where), problem)
     return value
 
 

@@ -13,7 +13,7 @@ from demoplan.engines.mujoco.session import Motion
 from demoplan.errors import UnknownNameError, UsageError
 from demoplan.language.atoms import Atom
 from demoplan.language.domains import Domain, Operator, Step
-from demoplan.manifests.loading import load_yaml
+from demoplan.manifests.loading import load_yaml, read_text
 
 SkillName: TypeAlias = OneOf["reach", "grasp", "carry", "lift", "release", "rest"]
 Part: TypeAlias = OneOf["object", "support"]
@@ -66,11 +66,7 @@ def read_skills(path: Path | None = None) -> SkillTable:
         UsageError: If it cannot be read.
     """
     if path is not None:
-        try:
-            text = path.read_text(encoding="utf-8")
-        except (OSError, UnicodeDecodeError) as error:
-            raise UsageError(f"{path}: cannot be read: {error}") from None
-        return load_yaml(text, path, SkillTable)
+        return load_yaml(read_text(path), path, SkillTable)
     own = files("demoplan.engines.mujoco") / "skills.yaml"
     return load_yaml(own.read_text(encoding="utf-8"), str(own), SkillTable)
 

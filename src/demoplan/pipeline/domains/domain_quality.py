@@ -12,6 +12,7 @@ from demoplan.language.execution import execute
 from demoplan.language.lint import LintFinding, lint
 from demoplan.language.pddl.symbols import domain_symbols, problem_symbols
 from demoplan.language.possibility import impossibility
+from demoplan.manifests.loading import read_text
 from demoplan.pipeline.domains.learning import Learned, exclusive_groups_of
 from demoplan.pipeline.domains.planning import problem_of, start_of
 from demoplan.store import Store
@@ -73,10 +74,7 @@ def read_case(path: Path) -> PlanCase:
     Raises:
         UsageError: If the file cannot be read, or does not say so.
     """
-    try:
-        lines = path.read_text(encoding="utf-8").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise UsageError(f"{path}: cannot be read: {error}") from None
+    lines = read_text(path).splitlines()
     said: dict[str, str] = {}
     steps: list[tuple[str, tuple[str, ...]]] = []
     for number, line in enumerate(lines, 1):

@@ -17,6 +17,7 @@ from demoplan.language.goals import parse_goal
 from demoplan.language.invariants import ExclusiveGroup
 from demoplan.language.pddl import parse_problem
 from demoplan.language.possibility import impossibility
+from demoplan.manifests.loading import read_text
 from demoplan.stages.ask import ask, state_at
 from demoplan.stages.missing import MissingDemonstration, imagine, read_missing
 from demoplan.stages.repair import describe
@@ -81,12 +82,7 @@ def start_of_episode(store: Store, name: str, instant: str = "start") -> Start:
 
 
 def _start_of_file(path: Path, domain: Domain) -> Start:
-    try:
-        text = path.read_text(encoding="utf-8")
-    except FileNotFoundError:
-        raise UsageError(f"{path}: no such file") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise UsageError(f"{path}: cannot be read: {error}") from None
+    text = read_text(path)
     if path.suffix == ".pddl":
         problem = parse_problem(text, domain)
         return Start(objects=dict(problem.objects), atoms=problem.initial, origin=str(path))
