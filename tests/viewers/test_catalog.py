@@ -82,6 +82,26 @@ def test_a_dataset_opens_with_the_layout_of_its_largest_recording(folder, tmp_pa
         assert catalogue.server.client().get_dataset("runs").default_blueprint() is None
 
 
+def test_recordings_that_come_or_change_are_taken_up_and_half_written_ones_wait(tmp_path):
+    write(tmp_path / "cubes" / "a.rrd", "a", success=True)
+    with served(tmp_path) as catalogue:
+        assert catalogue.take_up() == []
+        write(tmp_path / "cubes" / "b.rrd", "b", success=False)
+        write(tmp_path / "runs" / "c.rrd", "c", success=False)
+        whole = (tmp_path / "runs" / "c.rrd").read_bytes()
+        (tmp_path / "runs" / "d.rrd").write_bytes(b"not a recording")
+        assert catalogue.take_up() == [tmp_path / "cubes" / "b.rrd", tmp_path / "runs" / "c.rrd"]
+        assert catalogue.n_recordings == {"cubes": 2, "runs": 1}
+        assert matching(catalogue, "success = false")["id"].to_list() == ["b", "c"]
+
+        write(tmp_path / "cubes" / "b.rrd", "b", success=True, participant="p1")
+        (tmp_path / "runs" / "d.rrd").unlink()
+        assert catalogue.take_up() == [tmp_path / "cubes" / "b.rrd"]
+        assert matching(catalogue, "success = false")["id"].to_list() == ["c"]
+        assert matching(catalogue, "participant = 'p1'")["id"].to_list() == ["b"]
+        assert (tmp_path / "runs" / "c.rrd").read_bytes() == whole
+
+
 def test_a_folder_without_recordings_is_refused(tmp_path):
     with pytest.raises(UsageError, match="no recordings"), served(tmp_path):
         pass

@@ -113,7 +113,7 @@ def catalog(
     as_json: JsonOption = False,
 ) -> None:
     """Serve a folder of recordings through rerun's catalog; --where "success = false" finds some of them."""
-    from demoplan.viewers.catalog import matching, served, wait_for_end
+    from demoplan.viewers.catalog import has_client, matching, served, wait_for_end
 
     with served(folder, host=host, port=port) as catalogue:
         if where is not None:
@@ -140,4 +140,11 @@ def catalog(
             stdout.print(f"open it with: rerun {catalogue.url}", markup=False)
         stdout.file.flush()
         say("serving; Ctrl-C ends it")
-        wait_for_end()
+        if not has_client():
+            say("recordings that come later are not taken up: that needs the extra 'catalog'")
+
+        def look() -> None:
+            for path in catalogue.take_up() if has_client() else ():
+                say(f"taken up: {path}")
+
+        wait_for_end(look)
