@@ -1,5 +1,6 @@
 """Counts of many episodes are those of all at once, however they came together."""
 
+import pickle
 import random
 
 import polars as pl
@@ -7,6 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from demoplan.errors import DemoplanError
 from demoplan.pipeline.datasets import open_dataset
 from demoplan.pipeline.domains import counting
 from demoplan.pipeline.episodes import activities, ingest
@@ -135,5 +137,37 @@ def test_where_readings_have_to_be_mended_all_transitions_are_learned_from_at_on
     store = Store(tmp_path)
     states = stored(store, shown, {"e0": 0, "e1": 1, "e2": 2})
     monkeypatch.setattr(counting, "needs_mending", lambda *_: True)
-    monkeypatch.setattr(counting._Counting, "count", lambda *_: pytest.fail("counted apart"))
+    monkeypatch.setattr(counting, "count_buckets", lambda *_: pytest.fail("counted apart"))
     assert same(counting.learn_many(store, states, shown[0], LearnParams()), at_once(store, shown, states))
+
+
+def test_a_crew_counts_many_buckets_and_the_result_is_the_same(shown, tmp_path, monkeypatch):
+    monkeypatch.setattr(counting, "MANY_BUCKETS", 3)
+    monkeypatch.setattr(counting, "IN_ORDER", 2)
+    contents = {f"e{k:02d}": k % 6 for k in range(16)}
+    alone, helped = Store(tmp_path / "alone"), Store(tmp_path / "helped")
+    expected = counting.learn_many(alone, stored(alone, shown, contents), shown[0])
+    given = []
+
+    def crew(work, orders):
+        work, orders = pickle.loads(pickle.dumps((work, orders)))  # as it crosses
+        for order in reversed(orders):
+            given.append((work.stage, len(order)))
+            yield order, work(order)
+
+    found = counting.learn_many(helped, stored(helped, shown, contents), shown[0], crew=crew)
+    assert all(one.equals(other) for one, other in zip(found, expected, strict=True))
+    assert {stage for stage, _ in given} == {"gather", "support", "sight"}
+    assert all(1 <= n <= 2 for _, n in given)
+    given.clear()
+    again = counting.learn_many(helped, stored(helped, shown, contents), shown[0], crew=crew)
+    assert given == []
+    assert all(one.equals(other) for one, other in zip(again, expected, strict=True))
+
+
+def test_buckets_over_which_workers_die_are_named(shown, tmp_path, monkeypatch):
+    monkeypatch.setattr(counting, "MANY_BUCKETS", 2)
+    store = Store(tmp_path)
+    states = stored(store, shown, {f"e{k:02d}": 0 for k in range(8)})
+    with pytest.raises(DemoplanError, match=r"gather: every process that counted .* died"):
+        counting.learn_many(store, states, shown[0], crew=lambda _, orders: ((o, None) for o in orders))

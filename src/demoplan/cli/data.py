@@ -80,9 +80,9 @@ def ingest(
     as_json: JsonOption = False,
 ) -> None:
     """Read, align and perceive every episode of a dataset into the store."""
-    from demoplan.pipeline.datasets import open_dataset, remember
-    from demoplan.pipeline.episodes.ingest import ingest as ingest_all
-    from demoplan.pipeline.episodes.ingest import jobs_of
+    from demoplan.pipeline.crews import Processes
+    from demoplan.pipeline.datasets import open_dataset
+    from demoplan.pipeline.episodes.ingest import ingest_dataset
 
     opened = open_dataset(dataset, root=root, environment=os.environ)
     if bucket is not None:
@@ -90,15 +90,9 @@ def ingest(
     if pattern is not None:
         _take_up(dataset, opened, pattern, quiet_s)
         opened = open_dataset(dataset, root=root, environment=os.environ)
-    remember(opened, Store(store))
-    jobs = jobs_of(opened, Store(store), opened.dataset.episodes)
-    with progress("ingest", len(jobs)) as done:
-        states = ingest_all(
-            jobs,
-            n_workers=workers_of(workers),
-            on_done=lambda state: done(f"{state.episode_id} {state.status}"),
-        )
-    Store(store).snapshots.take(Store(store).manifest.episodes(), f"ingest {opened.dataset.name}")
+    here = Store(store)
+    states = ingest_dataset(opened, here, crew=Processes(workers_of(workers)), progress=progress)
+    here.snapshots.take(here.manifest.episodes(), f"ingest {opened.dataset.name}")
     if not as_json:
         print_table(
             f"{opened.dataset.name}: {len(states)} episodes",

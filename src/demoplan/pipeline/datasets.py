@@ -9,6 +9,7 @@ from demoplan.errors import StoreError, UnknownNameError, UsageError
 from demoplan.ids import is_safe_name
 from demoplan.language.vocabulary import Vocabulary
 from demoplan.manifests.dataset import Dataset, Episode, parse_dataset
+from demoplan.manifests.loading import read_text
 from demoplan.manifests.vocabulary import parse_vocabulary
 from demoplan.store import Store
 from demoplan.store.places import AbsentError
@@ -60,7 +61,7 @@ def read_manifest(path: Path) -> tuple[Path, str]:
         nearby = sorted(p.parent.name for p in path.parent.glob(f"*/{MANIFEST_NAME}"))
         hint = f"; datasets beside it: {', '.join(nearby)}" if nearby else ""
         raise UsageError(f"{path}: no dataset here; expected a folder with {MANIFEST_NAME}{hint}")
-    return manifest, _text(manifest)
+    return manifest, read_text(manifest)
 
 
 def open_dataset(
@@ -81,7 +82,7 @@ def open_dataset(
     manifest, manifest_text = read_manifest(path)
     dataset = parse_dataset(manifest_text, manifest)
     vocabulary_path = manifest.parent / dataset.vocabulary
-    vocabulary_text = _text(vocabulary_path)
+    vocabulary_text = read_text(vocabulary_path)
     vocabulary = parse_vocabulary(vocabulary_text, vocabulary_path)
     for name, entity in dataset.mapping.entities.items():
         if entity.type not in vocabulary.types.names:
@@ -115,9 +116,14 @@ def remember(opened: OpenDataset, store: Store, *, segmenter: str | None = None)
         opened: The dataset.
         store: The store.
         segmenter: What its activities are found with, as ``run`` takes it; otherwise what was kept stays.
+            A file is kept with its whole path.
     """
+    if segmenter is None:
+        segmenter = segmenter_of(store, opened.dataset.name)
+    elif Path(segmenter).is_file():
+        segmenter = str(Path(segmenter).resolve())
     kept = {
-        "segmenter": segmenter if segmenter is not None else segmenter_of(store, opened.dataset.name),
+        "segmenter": segmenter,
         "folder": str(opened.folder),
         "root": str(opened.root),
         "manifest": opened.manifest_text,
@@ -165,7 +171,7 @@ def reopen(store: Store, name: str, environment: Mapping[str, str] | None = None
     kept = recall(store, name)
     if not (kept.folder / MANIFEST_NAME).is_file():
         return kept
-    texts = _text(kept.folder / MANIFEST_NAME), _text(kept.folder / kept.dataset.vocabulary)
+    texts = read_text(kept.folder / MANIFEST_NAME), read_text(kept.folder / kept.dataset.vocabulary)
     if texts == (kept.manifest_text, kept.vocabulary_text):
         named = (environment or {}).get(kept.dataset.root_variable or "")
         return replace(kept, root=Path(named)) if named else kept
@@ -209,12 +215,3 @@ def _parsed(kept: Mapping[str, str], folder: Path) -> Dataset:
         return Dataset.model_validate_json(kept["parsed"])
     except (KeyError, ValueError):  # kept before there was one, or by another version
         return parse_dataset(kept["manifest"], folder / MANIFEST_NAME)
-
-
-def _text(path: Path) -> str:
-    try:
-        return path.read_text(encoding="utf-8")
-    except FileNotFoundError:
-        raise UsageError(f"{path}: no such file") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise UsageError(f"{path}: cannot be read: {error}") from None

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import dataframely as dy
 import polars as pl
@@ -17,15 +16,15 @@ from demoplan.pipeline.episodes.activities import (
     METHODS,
     RULE_TREES,
     groups_of,
-    read_segmenter,
     rules,
+    segment_dataset,
     segment_episodes,
     segmenters_for,
     tables_of,
     trained,
     usable,
 )
-from demoplan.pipeline.episodes.ingest import ingest, jobs_of
+from demoplan.pipeline.episodes.ingest import ingest_dataset
 from demoplan.pipeline.episodes.segment_stages import ChosenSegmenter
 from demoplan.pipeline.reporting import Progress, silent
 from demoplan.stages.learn import LearnParams
@@ -126,14 +125,10 @@ def run(
     """
 
     def choose(states: Sequence[EpisodeState]) -> dict[str, ChosenSegmenter]:
-        if Path(segmenter).is_file():
-            chosen = read_segmenter(Path(segmenter))
-            return {state.episode_id: chosen for state in usable(states)}
         return segmenters_for(opened, store, states, segmenter)
 
     crew = crew or Processes(n_workers)
-    is_file = Path(segmenter).is_file()
-    remember(opened, store, segmenter=str(Path(segmenter).resolve()) if is_file else segmenter)
+    remember(opened, store, segmenter=segmenter)
     main = _work(opened, store, choose, crew, n_workers, progress, learning)
     scores, confusions = _score_activities(main, store)
     parts = [main]
@@ -181,18 +176,11 @@ def _work(
     learning: LearnParams,
 ) -> _Part:
     """Ingest, segment, learn and plan, for one dataset."""
-    remember(opened, store)
     name = opened.dataset.name
-    jobs = jobs_of(opened, store, opened.dataset.episodes)
-    with progress(f"{name}: read, align, perceive", len(jobs)) as done:
-        states = ingest(jobs, crew=crew, on_done=lambda s: done(f"{s.episode_id} {s.status}"))
-    with progress(f"{name}: segment", len(states)) as done:
-        segmenters = choose(states)
-        states = segment_episodes(
-            opened, store, states, segmenters, crew=crew, on_done=lambda state: done(state.episode_id)
-        )
+    states = ingest_dataset(opened, store, crew=crew, progress=progress)
+    states, segmenters = segment_dataset(opened, store, states, choose, crew=crew, progress=progress)
     with progress(f"{name}: learn", len(usable(states)) + 1) as done:
-        learned = learn_all(opened, store, states, params=learning, on_done=done)
+        learned = learn_all(opened, store, states, params=learning, crew=crew, on_done=done)
     with progress(f"{name}: plan", len(learned) * len(opened.dataset.goals)) as done:
         tried = try_goals(opened, store, learned, n_workers=n_workers, on_done=done)
     return _Part(

@@ -5,16 +5,19 @@ of its members' transitions, so that adding, changing or forgetting an episode c
 others are only added up. The sums are those of a full recount, to the last bit: they are counts.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from typing import TypeAlias
+from functools import cached_property, partial
 
 import dataframely as dy
 import polars as pl
 
+from demoplan.errors import DemoplanError
 from demoplan.ids import content_hash
+from demoplan.language.domains import Signature
+from demoplan.language.types import TypeHierarchy
 from demoplan.language.vocabulary import Vocabulary
-from demoplan.pipeline.episodes.activities import tables_of
+from demoplan.pipeline.crews import Crew, Processes
 from demoplan.stages.learn import Learned, LearnParams, learn
 from demoplan.stages.learn.counting import (
     grip_votes,
@@ -24,6 +27,7 @@ from demoplan.stages.learn.counting import (
     sight,
     support_votes,
 )
+from demoplan.stages.learn.settle import Votes as Ranks
 from demoplan.store import EpisodeState, Record, Store
 from demoplan.store.code_version import code_version
 from demoplan.store.store import StageOutput, canonical_json
@@ -36,10 +40,13 @@ IN_BUCKET = 64
 SAMPLE = 256
 """Episodes that tell how good readings are; those whose ids have the smallest hashes, so that few change."""
 
+MANY_BUCKETS = 24
+"""From so many on they are counted by a crew: starting its processes costs what some ten buckets cost."""
+IN_ORDER = 4
+"""Buckets that one worker takes at once."""
+
 _MODULES = ("demoplan.stages.learn.counting",)
 _IS_MENDED = "is_mended"
-
-_Ranks: TypeAlias = Mapping[tuple[str, int, int], int]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,8 +57,53 @@ class Counted:
     patterns: pl.DataFrame
 
 
+@dataclass(frozen=True, kw_only=True)
+class Recipe:
+    """What transitions are counted with."""
+
+    types: TypeHierarchy
+    predicates: tuple[Signature, ...]
+    params: LearnParams
+
+    @cached_property
+    def settings(self) -> str:
+        """All of it, as canonical JSON."""
+        values = {
+            "params": asdict(self.params),
+            "types": self.types.parents,
+            "predicates": [asdict(signature) for signature in self.predicates],
+        }
+        return canonical_json(values)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bucket:
+    """The transitions of some episodes, by hash."""
+
+    key: str
+    """Names them, in records."""
+    contents: tuple[str, ...]
+    """The tables that hold them, in order of episode."""
+
+    @classmethod
+    def of(cls, states: Sequence[EpisodeState]) -> "Bucket":
+        """The transitions of some episodes as they were written."""
+        contents = tuple(state.tables["transitions"] for state in states)
+        named = (f"{s.episode_id}={content}" for s, content in zip(states, contents, strict=True))
+        return cls(key=content_hash(*named), contents=contents)
+
+    def transitions(self, store: Store) -> dy.DataFrame[Transitions]:
+        """The transitions, in one table."""
+        return Transitions.cast(pl.concat([store.get(content, Transitions) for content in self.contents]))
+
+
 def learn_many(
-    store: Store, states: Sequence[EpisodeState], vocabulary: Vocabulary, params: LearnParams = LearnParams()
+    store: Store,
+    states: Sequence[EpisodeState],
+    vocabulary: Vocabulary,
+    params: LearnParams = LearnParams(),
+    *,
+    crew: Crew = Processes(1),
 ) -> Learned:
     """Operators of many episodes, from counts that are kept.
 
@@ -63,16 +115,20 @@ def learn_many(
         states: The episodes; all have transitions.
         vocabulary: Types and predicates.
         params: Learning choices.
+        crew: Who counts, if it is many buckets.
+
+    Raises:
+        DemoplanError: If whoever counted some buckets died, again and again.
     """
-    counting = _Counting(store, vocabulary, params)
-    survey = counting.survey(sorted(states, key=lambda state: content_hash(state.episode_id))[:SAMPLE])
+    predicates = tuple(rule.signature for rule in vocabulary.predicates)
+    recipe = Recipe(types=vocabulary.types, predicates=predicates, params=params)
+    sample = sorted(states, key=lambda state: content_hash(state.episode_id))[:SAMPLE]
+    survey = _survey(store, recipe, Bucket.of(sample))
     if survey.notes[_IS_MENDED] == "true":
-        transitions = _joined(store, states)
-        return learn(transitions, vocabulary.types, counting.predicates, params)
-    found = counting.count(buckets_of(states))
-    learned = learn_from_sightings(
-        found.sightings, found.patterns, vocabulary.types, counting.predicates, params
-    )
+        transitions = Bucket.of(states).transitions(store)
+        return learn(transitions, vocabulary.types, predicates, params)
+    found = count_buckets(store, recipe, [Bucket.of(members) for members in buckets_of(states)], crew)
+    learned = learn_from_sightings(found.sightings, found.patterns, vocabulary.types, predicates, params)
     return learned._replace(findings=store.get(survey.outputs["findings"], Findings))
 
 
@@ -91,85 +147,100 @@ def buckets_of(states: Sequence[EpisodeState]) -> list[list[EpisodeState]]:
     return [members for _, members in sorted(buckets.items())]
 
 
-class _Counting:
-    """The stages of counting, over a store."""
+def _survey(store: Store, recipe: Recipe, sample: Bucket) -> Record:
+    """What a sample of episodes tells of the readings, and what is found on the way."""
 
-    def __init__(self, store: Store, vocabulary: Vocabulary, params: LearnParams) -> None:
-        self.predicates = [rule.signature for rule in vocabulary.predicates]
-        self._store, self._types, self._params = store, vocabulary.types, params
-        settings = {
-            "params": asdict(params),
-            "types": vocabulary.types.parents,
-            "predicates": [asdict(signature) for signature in self.predicates],
-        }
-        self._settings = canonical_json(settings)
-        self._version = code_version(*_MODULES)
-
-    def survey(self, sample: Sequence[EpisodeState]) -> Record:
-        """What a sample of episodes tells of the readings, and what is found on the way."""
-
-        def work() -> StageOutput:
-            transitions = _joined(self._store, sample)
-            is_mended = needs_mending(transitions, self._types, self.predicates, self._params)
-            findings = learn(transitions, self._types, self.predicates, self._params).findings
-            return StageOutput(
-                tables={"findings": (findings, Findings)}, notes={_IS_MENDED: str(is_mended).lower()}
-            )
-
-        return self._store.run("survey", _inputs(sample), self._settings, self._version, work)
-
-    def count(self, buckets: Sequence[Sequence[EpisodeState]]) -> Counted:
-        """Count what was not counted before; give back all of it."""
-        store = self._store
-        with store.together():
-            gathered = [self._gather(members) for members in buckets]
-        grip = ranks([store.get(record.outputs["votes"], Votes) for record in gathered])
-        with store.together():
-            supported = [self._support(record.outputs["transitions"], grip) for record in gathered]
-        support = ranks([store.get(record.outputs["votes"], Votes) for record in supported])
-        with store.together():
-            sighted = [self._sight(record.outputs["transitions"], grip, support) for record in gathered]
-        return Counted(
-            sightings=pl.concat([store.get(record.outputs["sightings"], Sightings) for record in sighted]),
-            patterns=pl.concat([store.get(record.outputs["patterns"], Patterns) for record in sighted]),
+    def work() -> StageOutput:
+        call = sample.transitions(store), recipe.types, recipe.predicates, recipe.params
+        return StageOutput(
+            tables={"findings": (learn(*call).findings, Findings)},
+            notes={_IS_MENDED: str(needs_mending(*call)).lower()},
         )
 
-    def _gather(self, members: Sequence[EpisodeState]) -> Record:
-        def work() -> StageOutput:
-            transitions = _joined(self._store, members)
-            votes = grip_votes(transitions, self._types, self.predicates, self._params)
-            return StageOutput(tables={"transitions": (transitions, Transitions), "votes": (votes, Votes)})
+    return store.run("survey", {"transitions": sample.key}, recipe.settings, code_version(*_MODULES), work)
 
-        return self._store.run("gather", _inputs(members), self._settings, self._version, work)
 
-    def _support(self, content: str, grip: _Ranks) -> Record:
-        def work() -> StageOutput:
-            transitions = self._store.get(content, Transitions)
-            votes = support_votes(transitions, self._types, self.predicates, grip, self._params)
-            return StageOutput(tables={"votes": (votes, Votes)})
+def count_buckets(
+    store: Store, recipe: Recipe, buckets: Sequence[Bucket], crew: Crew = Processes(1)
+) -> Counted:
+    """Count what was not counted before; give back all of it.
 
-        inputs = {"transitions": content, "grip": _hash(grip)}
-        return self._store.run("support", inputs, self._settings, self._version, work)
+    Raises:
+        DemoplanError: If whoever counted some buckets died, again and again.
+    """
 
-    def _sight(self, content: str, grip: _Ranks, support: _Ranks) -> Record:
-        def work() -> StageOutput:
-            transitions = self._store.get(content, Transitions)
-            found = sight(transitions, self._types, self.predicates, grip, support, self._params)
-            return StageOutput(
-                tables={"sightings": (found.sightings, Sightings), "patterns": (found.patterns, Patterns)}
+    def taken(stage: str, parts: Sequence[Bucket], *found: Ranks) -> list[Record]:
+        return _taken(store, Step(store=store.location, recipe=recipe, stage=stage, ranks=found), parts, crew)
+
+    gathered = taken("gather", buckets)
+    joined = [Bucket(key=content, contents=(content,)) for content in _outputs(gathered, "transitions")]
+    grip = ranks([store.get(content, Votes) for content in _outputs(gathered, "votes")])
+    supported = taken("support", joined, grip)
+    support = ranks([store.get(content, Votes) for content in _outputs(supported, "votes")])
+    sighted = taken("sight", joined, grip, support)
+    return Counted(
+        sightings=pl.concat([store.get(content, Sightings) for content in _outputs(sighted, "sightings")]),
+        patterns=pl.concat([store.get(content, Patterns) for content in _outputs(sighted, "patterns")]),
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Step:
+    """One step of counting, for a worker to take with some buckets: only hashes and ranks cross."""
+
+    store: str
+    recipe: Recipe
+    stage: str
+    ranks: tuple[Ranks, ...]
+    """What the steps before found of all buckets: how votes on grips, then on supports, rank activities."""
+
+    def call(self, bucket: Bucket) -> tuple[str, dict[str, str], str, str]:
+        """What the step's record for a bucket is found by: stage, inputs, parameters, code."""
+        votes = {name: _hash(each) for name, each in zip(("grip", "support"), self.ranks, strict=False)}
+        inputs = {"transitions": bucket.key} | votes
+        return self.stage, inputs, self.recipe.settings, code_version(*_MODULES)
+
+    def __call__(self, buckets: Sequence[Bucket]) -> list[Record]:
+        """Take the step with some buckets."""
+        store = Store(self.store)
+        with store.together():
+            return [store.run(*self.call(bucket), partial(self._output, store, bucket)) for bucket in buckets]
+
+    def _output(self, store: Store, bucket: Bucket) -> StageOutput:
+        transitions = bucket.transitions(store)
+        call, params = (transitions, self.recipe.types, self.recipe.predicates), self.recipe.params
+        tables: dict[str, tuple[pl.DataFrame, type[dy.Schema]]]
+        if self.stage == "gather":
+            votes = grip_votes(*call, params)
+            tables = {"transitions": (transitions, Transitions), "votes": (votes, Votes)}
+        elif self.stage == "support":
+            tables = {"votes": (support_votes(*call, self.ranks[0], params), Votes)}
+        else:
+            found = sight(*call, self.ranks[0], self.ranks[1], params)
+            tables = {"sightings": (found.sightings, Sightings), "patterns": (found.patterns, Patterns)}
+        return StageOutput(tables=tables)
+
+
+def _taken(store: Store, step: Step, buckets: Sequence[Bucket], crew: Crew) -> list[Record]:
+    """The records of a step for all buckets; it is taken with those that have none."""
+    found = {bucket.key: store.find(*step.call(bucket)) for bucket in buckets}
+    lacking = [bucket for bucket in buckets if found[bucket.key] is None]
+    if len(lacking) < MANY_BUCKETS:
+        crew = Processes(1)
+    orders = [lacking[start : start + IN_ORDER] for start in range(0, len(lacking), IN_ORDER)]
+    for order, records in crew(step, orders):
+        if records is None:
+            raise DemoplanError(
+                f"{step.stage}: every process that counted {len(order)} buckets of about {IN_BUCKET} "
+                "episodes died (out of memory?); with fewer workers, each has more"
             )
-
-        inputs = {"transitions": content, "grip": _hash(grip), "support": _hash(support)}
-        return self._store.run("sight", inputs, self._settings, self._version, work)
-
-
-def _joined(store: Store, states: Sequence[EpisodeState]) -> dy.DataFrame[Transitions]:
-    return tables_of(store, states, "transitions", Transitions)
+        found.update(zip((bucket.key for bucket in order), records, strict=True))
+    return [record for bucket in buckets if (record := found[bucket.key]) is not None]
 
 
-def _inputs(states: Sequence[EpisodeState]) -> dict[str, str]:
-    return {"transitions": content_hash(*(f"{s.episode_id}={s.tables['transitions']}" for s in states))}
+def _outputs(records: Sequence[Record], name: str) -> list[str]:
+    return [record.outputs[name] for record in records]
 
 
-def _hash(votes: _Ranks) -> str:
+def _hash(votes: Ranks) -> str:
     return content_hash(canonical_json(sorted([*key, rank] for key, rank in votes.items())))

@@ -15,6 +15,7 @@ from demoplan.language.domains import Domain
 from demoplan.language.invariants import ExclusiveGroup, parse_group
 from demoplan.language.pddl import domain_id, parse_domain, render_domain
 from demoplan.language.vocabulary import Vocabulary
+from demoplan.pipeline.crews import Crew, Processes
 from demoplan.pipeline.domains.counting import MANY, learn_many
 from demoplan.pipeline.episodes.activities import tables_of
 from demoplan.stages.compose import compose, support_of
@@ -50,8 +51,11 @@ def learn_domain(
     name: str,
     dataset: str,
     params: LearnParams = LearnParams(),
+    crew: Crew = Processes(1),
 ) -> Learned:
     """Learn operators from the transitions of some episodes, and add the domain as a version.
+
+    Thousands of episodes are counted by the crew.
 
     Raises:
         UsageError: If none of the episodes has transitions.
@@ -69,7 +73,7 @@ def learn_domain(
             learned, retyping = learn_splitting_types(transitions, vocabulary.types, predicates, params)
             notes[_SPLITS] = canonical_json(retyping.splits)
         elif len(chosen) > MANY:
-            learned = learn_many(store, chosen, vocabulary, params)
+            learned = learn_many(store, chosen, vocabulary, params, crew=crew)
         else:
             transitions = tables_of(store, chosen, "transitions", Transitions)
             learned = learn(transitions, vocabulary.types, predicates, params)

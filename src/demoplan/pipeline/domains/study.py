@@ -14,6 +14,7 @@ from demoplan.language.domains import Domain, Plan, Problem, Step
 from demoplan.language.pddl import domain_id, problem_id
 from demoplan.language.possibility import impossibility
 from demoplan.manifests.dataset import Goal
+from demoplan.pipeline.crews import Crew, Processes
 from demoplan.pipeline.datasets import OpenDataset
 from demoplan.pipeline.domains.learning import Learned, exclusive_groups_of, learn_domain
 from demoplan.pipeline.domains.planning import missing_demonstrations, problem_of, start_of, start_of_episode
@@ -46,9 +47,18 @@ def learn_all(
     states: Sequence[EpisodeState],
     *,
     params: LearnParams = LearnParams(),
+    crew: Crew = Processes(1),
     on_done: Callable[[str], None] = lambda _: None,
 ) -> dict[str, Learned]:
     """A domain from each episode, by the episode's id, and one from all, under ``combined``.
+
+    Args:
+        opened: The dataset.
+        store: Where everything is kept.
+        states: The episodes; those without activities are left out.
+        params: How operators are learned.
+        crew: Who counts, where there are thousands of episodes.
+        on_done: Called with the name of each domain when it is there.
 
     Raises:
         DataError: If no episode has activities; it says why for each.
@@ -69,7 +79,9 @@ def learn_all(
             params=params,
         )
         on_done(state.episode_id)
-    learned[COMBINED] = learn_domain(store, usable, opened.vocabulary, name=name, dataset=name, params=params)
+    learned[COMBINED] = learn_domain(
+        store, usable, opened.vocabulary, name=name, dataset=name, params=params, crew=crew
+    )
     on_done(COMBINED)
     return learned
 

@@ -11,10 +11,11 @@ import polars as pl
 
 from demoplan.errors import StoreError, UnknownNameError, UsageError
 from demoplan.ids import ContentHash, content_hash
+from demoplan.manifests.loading import read_text
 from demoplan.pipeline.crews import Crew, Processes
-from demoplan.pipeline.datasets import OpenDataset, remember
+from demoplan.pipeline.datasets import OpenDataset
 from demoplan.pipeline.episodes.episode_stages import EpisodeTables
-from demoplan.pipeline.episodes.ingest import MOST_IN_GROUP, Ledger, ingest, jobs_of
+from demoplan.pipeline.episodes.ingest import MOST_IN_GROUP, Ledger, ingest_dataset
 from demoplan.pipeline.episodes.memory import keep_memory
 from demoplan.pipeline.episodes.orders import keep_setting, setting_of, setting_of_dataset, types_of_entities
 from demoplan.pipeline.episodes.segment_stages import (
@@ -73,14 +74,10 @@ def read_segmenter(path: Path) -> ChosenSegmenter:
     """A segmenter that ``demoplan segmenter train`` wrote.
 
     Raises:
-        UsageError: If the file is not there.
+        UsageError: If the file cannot be read.
         DataError: If it is not a segmenter.
     """
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise UsageError(f"{path}: cannot be read: {error}") from None
-    return _parsed(text, path.name, str(path.absolute()))
+    return _parsed(read_text(path), path.name, str(path.absolute()))
 
 
 def stored_segmenter(store: Store, key: ContentHash) -> ChosenSegmenter | None:
@@ -196,14 +193,18 @@ def segmenters_for(
         opened: The dataset.
         store: Where the episodes' tables are.
         states: The episodes.
-        method: ``rules``, ``published_rules``, a training method, or ``auto``: a decision tree if labels
-            allow it, else the rules.
+        method: ``rules``, ``published_rules``, a training method, ``auto``: a decision tree if labels
+            allow it, else the rules; or a segmenter's file: whether that has seen the episodes is for the
+            caller to know.
 
     Raises:
         UsageError: If the method is unknown, or there are labels of one group only.
+        DataError: If the file is not a segmenter.
     """
-    training = training_of(opened, states, method)
     good = usable(states)
+    if Path(method).is_file():
+        return dict.fromkeys((state.episode_id for state in good), read_segmenter(Path(method)))
+    training = training_of(opened, states, method)
     if isinstance(training, ChosenSegmenter):
         return {state.episode_id: training for state in good}
     by_group = {
@@ -291,6 +292,33 @@ def segment_episodes(
                 ledger.note(result)
             on_done(result)
     return list(results.values())
+
+
+def segment_dataset(
+    opened: OpenDataset,
+    store: Store,
+    states: Sequence[EpisodeState],
+    choose: Callable[[Sequence[EpisodeState]], dict[str, ChosenSegmenter]],
+    *,
+    crew: Crew = Processes(1),
+    progress: Progress = silent,
+) -> tuple[list[EpisodeState], dict[str, ChosenSegmenter]]:
+    """Choose segmenters, training them where they are trained, and segment every usable episode with its own.
+
+    Args:
+        opened: The dataset.
+        store: Where the episodes' tables are.
+        states: The episodes, ingested.
+        choose: From episodes to the segmenter of each; see ``segmenters_for``.
+        crew: Who does it, if it is many.
+        progress: How to say how far it is.
+    """
+    with progress(f"{opened.dataset.name}: segment", len(states)) as done:
+        chosen = choose(states)
+        segmented = segment_episodes(
+            opened, store, states, chosen, crew=crew, on_done=lambda state: done(state.episode_id)
+        )
+    return segmented, chosen
 
 
 def recipe_of(opened: OpenDataset, params: SegmentParams = SegmentParams()) -> SegmentRecipe:
@@ -387,13 +415,6 @@ def _segmenter_of(store: str, source: str, content: str) -> ChosenSegmenter:
     return chosen
 
 
-def _ingested(opened: OpenDataset, store: Store, n_workers: int, progress: Progress) -> list[EpisodeState]:
-    remember(opened, store)
-    jobs = jobs_of(opened, store, opened.dataset.episodes)
-    with progress(f"{opened.dataset.name}: read, align, perceive", len(jobs)) as done:
-        return ingest(jobs, n_workers=n_workers, on_done=lambda s: done(f"{s.episode_id} {s.status}"))
-
-
 def train_on(
     opened: OpenDataset,
     store: Store,
@@ -414,7 +435,8 @@ def train_on(
     if split is not None and split not in opened.dataset.splits:
         raise UnknownNameError("split", split, opened.dataset.splits, opened.dataset.name)
     members = opened.dataset.splits[split] if split else [e.id for e in opened.dataset.episodes]
-    states = [s for s in _ingested(opened, store, n_workers, progress) if s.episode_id in members]
+    ingested = ingest_dataset(opened, store, crew=Processes(n_workers), progress=progress)
+    states = [state for state in ingested if state.episode_id in members]
     chosen = trained(opened, store, states, TrainParams(method=method))  # type: ignore[arg-type]
     assert isinstance(chosen.segmenter, Segmenter)
     return chosen, render_segmenter(chosen.segmenter)
@@ -437,7 +459,8 @@ def score_methods(
     Raises:
         UsageError: If no episode has labels, or a method is unknown.
     """
-    states = [s for s in usable(_ingested(opened, store, n_workers, progress)) if "labels" in s.tables]
+    ingested = ingest_dataset(opened, store, crew=Processes(n_workers), progress=progress)
+    states = [state for state in usable(ingested) if "labels" in state.tables]
     if not states:
         raise UsageError(f"{opened.dataset.name}: no episode has true labels to score against")
     truth = tables_of(store, states, "labels", Activities)
@@ -447,11 +470,7 @@ def score_methods(
     scores.append(score_segmentation(naive, truth, MAJORITY, groups=groups))
     with progress(f"{opened.dataset.name}: segment", len(methods)) as done:
         for method in methods:
-            if Path(method).is_file():
-                chosen = read_segmenter(Path(method))
-                segmenters = {state.episode_id: chosen for state in states}
-            else:
-                segmenters = segmenters_for(opened, store, states, method)
+            segmenters = segmenters_for(opened, store, states, method)
             found = segment_episodes(opened, store, states, segmenters, is_kept=False)
             activities = tables_of(store, found, "activities", Activities)
             scores.append(score_segmentation(activities, truth, method, groups=groups))

@@ -12,6 +12,7 @@ from demoplan.errors import DemoplanError, StoreError
 from demoplan.ids import ContentHash, content_hash
 from demoplan.manifests.dataset import Episode
 from demoplan.pipeline.crews import Crew, Processes
+from demoplan.pipeline.datasets import OpenDataset, remember
 from demoplan.pipeline.episodes.episode_stages import (
     ChangedLogError,
     EpisodeTables,
@@ -24,12 +25,13 @@ from demoplan.pipeline.episodes.episode_stages import (
 from demoplan.pipeline.episodes.memory import keep_memory
 from demoplan.pipeline.episodes.orders import IngestOrder, Setting, keep_setting, setting_of
 from demoplan.pipeline.episodes.seen import Seen, SeenLogs, settled_signature, signature_of
+from demoplan.pipeline.reporting import Progress, silent
 from demoplan.store import EpisodeState, Store
 from demoplan.store.index import Index
 from demoplan.store.store import canonical_json
 from demoplan.tables import Episodes, Frames
 
-__all__ = ["IngestJob", "ingest", "ingest_episode", "ingest_group", "jobs_of"]
+__all__ = ["IngestJob", "ingest", "ingest_dataset", "ingest_episode", "ingest_group", "jobs_of"]
 
 LATER_STAGES = ("segment", "contrast")
 LATER_TABLES = ("activities", "transitions")
@@ -52,6 +54,23 @@ class Ingested:
     """Its log, as it was read; None if it could not be."""
     row: Mapping[str, object]
     """Its row in the table of episodes, which is stored already."""
+
+
+def ingest_dataset(
+    opened: OpenDataset, store: Store, *, crew: Crew = Processes(1), progress: Progress = silent
+) -> list[EpisodeState]:
+    """Read, align and perceive every episode of a dataset, and keep the dataset's manifest with it.
+
+    Args:
+        opened: The dataset.
+        store: Where everything is kept.
+        crew: Who does it.
+        progress: How to say how far it is.
+    """
+    remember(opened, store)
+    jobs = jobs_of(opened, store, opened.dataset.episodes)
+    with progress(f"{opened.dataset.name}: read, align, perceive", len(jobs)) as done:
+        return ingest(jobs, crew=crew, on_done=lambda s: done(f"{s.episode_id} {s.status}"))
 
 
 def ingest_episode(job: IngestJob, store: Store | None = None) -> EpisodeState:

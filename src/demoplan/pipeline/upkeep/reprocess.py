@@ -66,6 +66,7 @@ def reprocess(
         crew: Who works on episodes in place of these processes.
         progress: How to say how far it is.
     """
+    crew = crew or Processes(n_workers)
     states: dict[tuple[str, str], EpisodeState] = {}
     learned: list[Learned] = []
     changes: dict[str, tuple[Change, ...]] = {}
@@ -74,7 +75,7 @@ def reprocess(
         mine = running.filter(pl.col("dataset") == name)
         if mine.is_empty():
             continue
-        for state in _episodes(store, part, mine, crew or Processes(n_workers), progress):
+        for state in _episodes(store, part, mine, crew, progress):
             states[name, state.episode_id] = state
         domains = sorted(mine.drop_nulls("domain")["domain"])
         if domains:
@@ -92,6 +93,7 @@ def reprocess(
                         name=domain,
                         dataset=name,
                         params=params_of(before.version),
+                        crew=crew,
                     )
                     learned.append(now)
                     if now.version.domain_id != before.version.domain_id:

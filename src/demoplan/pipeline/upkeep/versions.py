@@ -1,7 +1,6 @@
 """A dataset to the next version of its domain, with what changed; planning comes after."""
 
 from dataclasses import dataclass
-from pathlib import Path
 
 from demoplan.language.diff import Change
 from demoplan.pipeline.crews import Crew, Processes
@@ -13,8 +12,8 @@ from demoplan.pipeline.domains.learning import (
     params_of,
     stored_domain,
 )
-from demoplan.pipeline.episodes.activities import read_segmenter, segment_episodes, segmenters_for, usable
-from demoplan.pipeline.episodes.ingest import ingest, jobs_of
+from demoplan.pipeline.episodes.activities import segment_dataset, segmenters_for
+from demoplan.pipeline.episodes.ingest import ingest_dataset
 from demoplan.pipeline.reporting import Progress, silent
 from demoplan.store import EpisodeState, Store
 
@@ -59,23 +58,20 @@ def learn_version(
     """
     name = opened.dataset.name
     crew = crew or Processes(n_workers)
-    is_file = Path(segmenter).is_file()
-    remember(opened, store, segmenter=str(Path(segmenter).resolve()) if is_file else segmenter)
+    remember(opened, store, segmenter=segmenter)
     latest = store.domains.latest(name)
     previous = stored_domain(store, latest.domain_id) if latest is not None else None
-    jobs = jobs_of(opened, store, opened.dataset.episodes)
-    with progress(f"{name}: read, align, perceive", len(jobs)) as done:
-        states = ingest(jobs, crew=crew, on_done=lambda s: done(f"{s.episode_id} {s.status}"))
-    if is_file:
-        chosen = dict.fromkeys((s.episode_id for s in usable(states)), read_segmenter(Path(segmenter)))
-    else:
-        chosen = segmenters_for(opened, store, states, segmenter)
-    with progress(f"{name}: segment", len(states)) as done:
-        states = segment_episodes(
-            opened, store, states, chosen, crew=crew, on_done=lambda s: done(s.episode_id)
-        )
+    states = ingest_dataset(opened, store, crew=crew, progress=progress)
+    states, _ = segment_dataset(
+        opened,
+        store,
+        states,
+        lambda found: segmenters_for(opened, store, found, segmenter),
+        crew=crew,
+        progress=progress,
+    )
     learned = learn_domain(
-        store, states, opened.vocabulary, name=name, dataset=name, params=params_of(latest)
+        store, states, opened.vocabulary, name=name, dataset=name, params=params_of(latest), crew=crew
     )
     store.snapshots.take(store.manifest.episodes(), f"learn {name}")
     return NewVersion(
