@@ -82,7 +82,7 @@ def test_aliases_that_multiply_without_end_are_refused():
     "text", ["a: " + "[" * 200_000, "a: " + "{a: " * 50_000 + "}" * 50_000, "- " * 9_000]
 )
 def test_a_text_without_a_floor_is_refused(text):
-    with pytest.raises(ManifestError, match="nested too deeply|not YAML"):
+    with pytest.raises(ManifestError, match=r"nested too deeply|not YAML"):
         parse_dataset(text, "dataset.yaml")
 
 

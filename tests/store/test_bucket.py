@@ -52,6 +52,9 @@ def test_what_was_stored_by_one_is_found_by_another_and_read_back(store):
     assert other.manifest.episodes() == [state]
     assert other.get(state.tables["activities"], Activities).equals(activities("a 1"))
     assert other.index().find("segment", state.keys["segment"]).outputs == state.tables
+    second = ingest(store, "b")
+    contents = [each.tables["activities"] for each in (second, state)]
+    assert other.joined(contents, Activities)["activity"].to_list() == ["b 1", "a 1"]
     with pytest.raises(AbsentError, match="is not in the store s3://"):
         other.get("0" * 64, Activities)
 

@@ -54,6 +54,31 @@ def test_a_table_of_a_newer_form_is_refused(tmp_path, monkeypatch):
         store.get(content, Activities)
 
 
+def test_many_tables_are_read_as_one_after_the_other_would_be(tmp_path, monkeypatch):
+    store = Store(tmp_path)
+    tables = [activities(label) for label in ("Reach", "Take", "Reach")]
+    contents = [store.objects.put(table, Activities) for table in tables]
+    whole = store.joined(contents, Activities)
+    assert whole.equals(pl.concat(tables))
+    assert store.joined([], Activities).equals(Activities.create_empty())
+    at_once = store.objects._at_once(contents, Activities)
+    assert at_once is not None
+    assert at_once.equals(whole)
+
+    wrong = activities("Put").with_columns(end_ns=pl.lit(-5, pl.Int64))
+    bad = store.objects.put(wrong, Activities)
+    assert store.objects._at_once([contents[0], bad], Activities) is None
+    with pytest.raises(StoreError, match="is not what Activities"):
+        store.joined([contents[0], bad], Activities)
+    monkeypatch.setattr("demoplan.store.objects.TABLE_FORMAT", "2")
+    newer = store.objects.put(activities("Newer"), Activities)
+    monkeypatch.undo()
+    with pytest.raises(StoreError, match="format 2"):
+        store.joined([contents[0], newer], Activities)
+    with pytest.raises(StoreError, match="not in the store"):
+        store.joined([contents[0], "0" * 64], Activities)
+
+
 def test_damaged_and_missing_tables_are_told_apart(tmp_path):
     store = Store(tmp_path)
     content = store.objects.put(activities(), Activities)

@@ -48,6 +48,15 @@ def test_runs_that_were_stored_before_the_time_of_a_fault_was_known_are_read_wit
     assert store.get(content, Runs)["fault_ns"].to_list() == [None]
 
 
+def test_tables_of_several_versions_are_read_together(tmp_path):
+    store = Store(tmp_path)
+    now = run_row()
+    before = store.objects.put(now.with_columns(run_id=pl.lit("before")), Runs)
+    rewritten(store, before, lambda table: table.drop_columns(["fault_ns"]))
+    contents = [before, store.objects.put(now, Runs)]
+    assert store.joined(contents, Runs)["run_id"].to_list() == ["before", "r"]
+
+
 def test_a_table_says_its_version_once_it_has_more_than_one(tmp_path):
     store = Store(tmp_path)
     runs = pq.read_schema(store.objects.path_of(store.objects.put(run_row(), Runs)))

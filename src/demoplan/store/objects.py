@@ -2,6 +2,8 @@
 
 import functools
 import hashlib
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path, PurePosixPath
 from typing import Any, TypeVar
 
@@ -16,12 +18,15 @@ from demoplan.store.encodings import encodings_of
 from demoplan.store.places import AbsentError, NewerError, Place
 from demoplan.store.shards import Shards
 from demoplan.tables.migrating import migrated, version_of
-from demoplan.tables.validating import is_typed, validated
+from demoplan.tables.validating import are_rows_valid, is_typed, validated
 
 TABLE_FORMAT = "1"
 """Version of the form in which tables are written; a reader refuses a newer one."""
 
-_VERSION = "demoplan.table_version"
+_REQUESTS = 16
+"""Tables of a bucket that are asked for at once."""
+
+_FORMAT, _VERSION = b"demoplan.table_format", b"demoplan.table_version"
 
 Table = TypeVar("Table", bound=dy.Schema)
 
@@ -94,6 +99,40 @@ class ObjectStore:
             where = f"{self._place.location}: {content} in a shard"
             return read_as_declared(table, found.schema.metadata or {}, schema, where)
 
+    def joined(self, contents: Sequence[ContentHash], schema: type[Table]) -> pl.DataFrame:
+        """Tables one below the other, read at once where that can be: small ones take a tenth of the time.
+
+        A key that is unique in each may come more than once.
+
+        Raises:
+            StoreError: If one is not there, is not Parquet, or was written in a newer form.
+        """
+        table = self._at_once(contents, schema) if len(contents) > 1 else None
+        if table is not None:
+            return table
+        # Of a bucket, each is a request that waits for its answer.
+        n_at_once = _REQUESTS if self._place.path("") is None else 1
+        with ThreadPoolExecutor(n_at_once) as pool:
+            parts = list(pool.map(lambda content: self.get(content, schema), contents))
+        return pl.concat(parts) if parts else schema.create_empty()
+
+    def _at_once(self, contents: Sequence[ContentHash], schema: type[Table]) -> pl.DataFrame | None:
+        """None if one of the tables is not a file of today's form: then each is to be read by itself."""
+        paths = [self._place.path(self.name_of(content)) for content in contents]
+        files = [path for path in paths if path is not None]
+        today = str(version_of(schema.__name__)).encode()
+        try:
+            for path in files:
+                found = pq.read_schema(path).metadata or {}
+                if (found.get(_FORMAT), found.get(_VERSION, b"1")) != (TABLE_FORMAT.encode(), today):
+                    return None
+            if len(files) < len(contents):
+                return None
+            table = pl.read_parquet(files, use_pyarrow=False, glob=False)
+        except (OSError, pa.ArrowException, pl.exceptions.PolarsError):
+            return None
+        return table if are_rows_valid(table, schema) else None
+
     def is_intact(self, content: ContentHash) -> bool:
         """Whether the bytes that are there still have the hash that names them."""
         try:
@@ -147,10 +186,10 @@ def read_as_declared(
     Raises:
         StoreError: If it was written in a newer form than this version knows.
     """
-    written = metadata.get(b"demoplan.table_format", b"?").decode()
+    written = metadata.get(_FORMAT, b"?").decode()
     if written != TABLE_FORMAT:
         raise NewerError(where, "table format", written, TABLE_FORMAT)
-    name, version = schema.__name__, metadata.get(_VERSION.encode(), b"1").decode()
+    name, version = schema.__name__, metadata.get(_VERSION, b"1").decode()
     if not version.isdecimal() or not 1 <= int(version) <= version_of(name):
         raise NewerError(where, f"{name} version", version, f"1 to {version_of(name)}")
     try:
@@ -186,14 +225,14 @@ def _described(table: pa.Table, schema: type[dy.Schema]) -> pa.Table:
     notes = _notes_of(schema)
     version = version_of(schema.__name__)
     # Version 1 is not written down, so that tables keep their hashes until they change.
-    noted = {_VERSION: str(version)} if version > 1 else {}
+    noted = {_VERSION: str(version).encode()} if version > 1 else {}
     return pa.Table.from_arrays(
         table.columns,
         schema=pa.schema(
             [field.with_metadata(notes[field.name]) for field in table.schema],
             metadata={
-                "demoplan.table": schema.__name__,
-                "demoplan.table_format": TABLE_FORMAT,
+                b"demoplan.table": schema.__name__.encode(),
+                _FORMAT: TABLE_FORMAT.encode(),
                 **noted,
             },
         ),

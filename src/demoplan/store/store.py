@@ -3,7 +3,7 @@
 import contextlib
 import json
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -166,6 +166,10 @@ class Store:
     def get(self, content: str, schema: type[Table]) -> dy.DataFrame[Table]:
         """The table whose content has that hash."""
         return self.objects.get(ContentHash(content), schema)
+
+    def joined(self, contents: Sequence[str], schema: type[Table]) -> pl.DataFrame:
+        """The tables of these hashes, one below the other; see ``ObjectStore.joined``."""
+        return self.objects.joined([ContentHash(content) for content in contents], schema)
 
 
 def canonical_json(value: object) -> str:

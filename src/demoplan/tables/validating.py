@@ -36,6 +36,11 @@ def validated(table: pl.DataFrame, schema: type[Table]) -> dy.DataFrame[Table]:
     return schema.validate(table, cast=True)
 
 
+def are_rows_valid(table: pl.DataFrame, schema: type[dy.Schema]) -> bool:
+    """Whether a table has the declared columns, and all rules but that of the key hold."""
+    return is_typed(table, schema) and all(table.select(*_conditions(schema)[0]).row(0))
+
+
 def is_typed(table: pl.DataFrame, schema: type[dy.Schema]) -> bool:
     """Whether a table has exactly the declared columns, in the declared order and of the declared types."""
     return table.schema == _declared(schema)

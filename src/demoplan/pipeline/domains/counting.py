@@ -94,7 +94,7 @@ class Bucket:
 
     def transitions(self, store: Store) -> dy.DataFrame[Transitions]:
         """The transitions, in one table."""
-        return Transitions.cast(pl.concat([store.get(content, Transitions) for content in self.contents]))
+        return Transitions.cast(store.joined(self.contents, Transitions))
 
 
 def learn_many(
@@ -174,13 +174,13 @@ def count_buckets(
 
     gathered = taken("gather", buckets)
     joined = [Bucket(key=content, contents=(content,)) for content in _outputs(gathered, "transitions")]
-    grip = ranks([store.get(content, Votes) for content in _outputs(gathered, "votes")])
+    grip = ranks([store.joined(_outputs(gathered, "votes"), Votes)])
     supported = taken("support", joined, grip)
-    support = ranks([store.get(content, Votes) for content in _outputs(supported, "votes")])
+    support = ranks([store.joined(_outputs(supported, "votes"), Votes)])
     sighted = taken("sight", joined, grip, support)
     return Counted(
-        sightings=pl.concat([store.get(content, Sightings) for content in _outputs(sighted, "sightings")]),
-        patterns=pl.concat([store.get(content, Patterns) for content in _outputs(sighted, "patterns")]),
+        sightings=store.joined(_outputs(sighted, "sightings"), Sightings),
+        patterns=store.joined(_outputs(sighted, "patterns"), Patterns),
     )
 
 

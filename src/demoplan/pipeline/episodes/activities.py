@@ -103,9 +103,7 @@ def tables_of(
     store: Store, states: Sequence[EpisodeState], name: str, schema: type[Table]
 ) -> dy.DataFrame[Table]:
     """One table of several episodes, joined in order of episode."""
-    parts = [store.get(state.tables[name], schema) for state in states if name in state.tables]
-    whole: pl.DataFrame = pl.concat(parts) if parts else schema.create_empty()
-    return schema.cast(whole)
+    return schema.cast(store.joined([s.tables[name] for s in states if name in s.tables], schema))
 
 
 def trained(
