@@ -3,9 +3,10 @@
 import asyncio
 import os
 import sys
+import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, ExitStack, contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from ipaddress import ip_address
 from typing import Any, Literal, TypeVar, get_args
@@ -17,7 +18,7 @@ from prefect.context import FlowRunContext
 from prefect.settings import PREFECT_API_URL, temporary_settings
 from prefect.task_runners import TaskRunner, ThreadPoolTaskRunner
 
-from demoplan.errors import UsageError
+from demoplan.errors import DemoplanError, UsageError
 from demoplan.pipeline.crews import Crew, Processes
 from demoplan.pipeline.reporting import Progress
 from flows.progress import ArtifactProgress
@@ -35,6 +36,11 @@ episodes is 1 to 2 s of work. Measured by ``benchmarks/orchestration.py``."""
 
 TASKS_AHEAD = 8
 """Tasks given for each worker before the first of them has ended."""
+
+DESERTED_S = 600.0
+"""How long a cluster may be without any worker: one that scales itself brings some within minutes."""
+PULSE_S = 5.0
+"""How often a cluster that one waits for is asked whether it has workers."""
 
 MOST_DEATHS = 1
 """How often a task goes to another worker when the one that had it died; then its orders go one by one."""
@@ -80,9 +86,9 @@ def crew_of(place: Workplace) -> Iterator[Crew]:
         return
     with ExitStack() as stack:
         stack.enter_context(temporary_settings({PREFECT_API_URL: _server_of(place)}))
-        runner, deaths, options = _RUNNERS[place.runner](place)
+        runner, deaths, options, wait = _RUNNERS[place.runner](place)
         stack.enter_context(options)
-        yield TaskCrew(stack.enter_context(runner), deaths, place.n_workers)
+        yield TaskCrew(stack.enter_context(runner), deaths, place.n_workers, wait)
 
 
 async def in_crew(place: Workplace, work: Callable[[Crew, Progress], Result]) -> Result:
@@ -110,6 +116,8 @@ class TaskCrew:
     deaths: tuple[type[BaseException], ...]
     """What is raised when workers died over a task as often as it may be tried."""
     n_workers: int
+    wait: "_Wait" = lambda _: None
+    """Waits for a task; raises if nobody is there any more to do it."""
     most_orders: int = MOST_ORDERS
 
     def __call__(
@@ -125,7 +133,7 @@ class TaskCrew:
                 given.append((batch, self._give(work, batch)))
             batch, future = given.popleft()
             try:
-                yield from zip(batch, future.result(), strict=True)
+                yield from zip(batch, self._result(future), strict=True)
             except self.deaths:
                 yield from self._one_by_one(work, batch)
 
@@ -134,7 +142,7 @@ class TaskCrew:
     ) -> Iterator[tuple[Order, Result | None]]:
         for order in orders:
             try:
-                (result,) = self._give(work, [order]).result()
+                (result,) = self._result(self._give(work, [order]))
             except self.deaths:
                 yield order, None
             else:
@@ -143,20 +151,26 @@ class TaskCrew:
     def _give(self, work: Callable[[Order], Result], orders: Sequence[Order]) -> Any:
         return self.runner.submit(run_orders, {"work": work, "orders": list(orders)})
 
+    def _result(self, future: Any) -> Any:
+        self.wait(future)
+        return future.result()
+
 
 _LOADED = "__prefect_loader_"
 """How Prefect names a flow's module that it has loaded from a file; no worker can import it by that name."""
 
-_Started = tuple[TaskRunner[Any], tuple[type[BaseException], ...], AbstractContextManager[Any]]
+_Wait = Callable[[Any], None]
+_Started = tuple[TaskRunner[Any], tuple[type[BaseException], ...], AbstractContextManager[Any], _Wait]
 
 
 def _threads(place: Workplace) -> _Started:
-    return ThreadPoolTaskRunner(max_workers=place.n_workers), (), ExitStack()
+    return ThreadPoolTaskRunner(max_workers=place.n_workers), (), ExitStack(), lambda _: None
 
 
 def _dask(place: Workplace) -> _Started:
     try:
         import dask  # noqa: PLC0415
+        import distributed  # noqa: PLC0415
         from distributed.scheduler import KilledWorker  # noqa: PLC0415
         from prefect_dask import DaskTaskRunner  # noqa: PLC0415
     except ImportError:
@@ -170,7 +184,22 @@ def _dask(place: Workplace) -> _Started:
     }
     runner = DaskTaskRunner(address=place.address) if place.address else DaskTaskRunner(cluster_kwargs=local)
     limits = dask.config.set({"distributed.scheduler.allowed-failures": MOST_DEATHS})
-    return runner, (KilledWorker,), limits
+
+    def wait(future: Any) -> None:
+        manned_s = time.monotonic()
+        where = f"the Dask cluster at {runner.client.scheduler.address}"
+        while not future.wrapped_future.done():
+            try:
+                with runner.client.as_current(), suppress(distributed.TimeoutError):
+                    distributed.wait(future.wrapped_future, timeout=PULSE_S)
+            except distributed.CancelledError as error:
+                raise DemoplanError(f"{where} went away: {error}") from None
+            if runner.client.scheduler_info(n_workers=1)["workers"]:
+                manned_s = time.monotonic()
+            elif time.monotonic() - manned_s > DESERTED_S:
+                raise DemoplanError(f"{where} has had no worker for {DESERTED_S:.0f} s")
+
+    return runner, (KilledWorker,), limits, wait
 
 
 def _ray(place: Workplace) -> _Started:
@@ -196,7 +225,7 @@ def _ray(place: Workplace) -> _Started:
         exceptions.OutOfMemoryError,
         exceptions.ObjectLostError,
     )
-    return runner, deaths, remote_options(max_retries=MOST_DEATHS)
+    return runner, deaths, remote_options(max_retries=MOST_DEATHS), lambda _: None
 
 
 _RUNNERS: Mapping[str, Callable[[Workplace], _Started]] = {"threads": _threads, "dask": _dask, "ray": _ray}

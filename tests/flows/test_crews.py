@@ -2,7 +2,11 @@
 
 import asyncio
 import importlib.util
+import json
+import os
+import subprocess
 import sys
+import time
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -10,7 +14,7 @@ import pytest
 
 pytest.importorskip("prefect", reason="flows need the extra: pip install 'demoplan[flows]'")
 
-from demoplan.errors import UsageError
+from demoplan.errors import DemoplanError, UsageError
 
 CHECKOUT = Path(__file__).resolve().parents[2]
 DATASET = CHECKOUT / "datasets" / "cube-stacking"
@@ -176,3 +180,71 @@ def test_a_cluster_gives_the_bytes_of_a_local_run_though_workers_are_killed(
         assert state.status == "complete"
         for content in state.tables.values():
             assert Store(tmp_path / "there").objects.is_intact(content)
+
+
+KILLING = """
+import os
+import signal
+import time
+
+
+def kill(pid):
+    os.kill(pid or os.getpid(), signal.SIGKILL)
+    time.sleep(60)
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("who", "message"), [("scheduler", "went away"), ("worker", "has had no worker for 3 s")]
+)
+def test_a_cluster_that_goes_away_or_is_deserted_ends_the_flow(
+    who, message, tmp_path, monkeypatch, prefect_server
+):
+    pytest.importorskip("prefect_dask", reason="needs the extra: pip install 'demoplan[dask]'")
+    from prefect import flow
+    from prefect.settings import PREFECT_API_URL
+
+    from flows import crews
+
+    (tmp_path / "killing.py").write_text(KILLING)
+    monkeypatch.syspath_prepend(tmp_path)
+    from killing import kill
+
+    monkeypatch.setattr(crews, "DESERTED_S", 3.0)
+    monkeypatch.setattr(crews, "PULSE_S", 0.5)
+    path = os.pathsep.join(map(str, (tmp_path, CHECKOUT / "src", CHECKOUT)))
+    environment = os.environ | {"PYTHONPATH": path, "PREFECT_API_URL": str(PREFECT_API_URL.value())}
+    told = tmp_path / "scheduler.json"
+
+    def started(kind, *arguments):
+        command = [sys.executable, "-m", f"distributed.cli.dask_{kind}", "--scheduler-file", str(told)]
+        return subprocess.Popen(
+            [*command, *arguments, "--no-dashboard"], env=environment, stderr=subprocess.DEVNULL
+        )
+
+    scheduler = started("scheduler", "--host", "127.0.0.1", "--port", "0")
+    worker = started("worker", "--nthreads", "1", "--no-nanny")
+    try:
+        until = time.monotonic() + 60.0
+        while not (told.exists() and told.read_text()) and time.monotonic() < until:
+            time.sleep(0.1)
+        address = json.loads(told.read_text())["address"]
+
+        pid = (
+            scheduler.pid if who == "scheduler" else 0
+        )  # the flow goes to the worker too, with what it names
+
+        @flow
+        def killing():
+            place = crews.Workplace(runner="dask", address=address, n_workers=1)
+            with crews.crew_of(place) as crew:
+                return list(crew(kill, [pid]))
+
+        with pytest.raises(DemoplanError, match=message):
+            killing()
+    finally:
+        for process in (worker, scheduler):
+            process.kill()
+            process.wait()
+        sys.modules.pop("killing")
