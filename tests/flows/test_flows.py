@@ -195,6 +195,33 @@ def test_a_night_takes_up_what_arrived_learns_evaluates_and_shows_it(lab, tmp_pa
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("runner", ["processes", "dask"])
+def test_a_night_in_a_bucket_gives_the_domain_and_the_runs_of_one_in_a_folder(
+    runner, lab, tmp_path, bucket_url, prefect_server
+):
+    if runner == "dask":
+        pytest.importorskip("prefect_dask", reason="needs the extra: pip install 'demoplan[dask]'")
+    from flows.evaluate import evaluate
+    from flows.nightly import nightly
+
+    from demoplan.store import Store
+    from demoplan.store.verifying import verify
+
+    goals = tmp_path / "goals.yaml"
+    goals.write_text("goals:\n  - {name: one, goal: 'onTop(cube_red,cube_blue)'}\n")
+    arguments = {"segmenter": "rules", "workers": 2}
+    here = str(tmp_path / "store")
+    domain_id = asyncio.run(nightly(lab, store=here, **arguments))
+    assert asyncio.run(nightly(lab, store=bucket_url, runner=runner, **arguments)) == domain_id
+    assert Store(bucket_url).manifest.episodes() == Store(here).manifest.episodes()
+    assert verify(Store(bucket_url)) == []
+    result = asyncio.run(evaluate(lab, store=bucket_url, runner=runner, goals=goals, seeds=1, **arguments))
+    assert result.report == f"{bucket_url}/reports/lab.html"
+    shown = artifacts()
+    assert shown["simulated-lab-gripper"].data.count("1 of 1") == len(result.learned)
+
+
+@pytest.mark.slow
 def test_reprocessing_shows_why_and_a_dry_run_runs_nothing(lab, tmp_path, prefect_server):
     from flows.ingest import ingest
     from flows.reprocess import reprocess
