@@ -185,6 +185,37 @@ def test_shards_of_what_nobody_names_go_after_the_grace_period(store):
     assert not kinds(verify(Store(store.root)))
 
 
+def test_superseded_records_leave_their_packs_when_the_history_is_cut(store):
+    compact(store)
+    sweep(store, grace_s=0.0)
+    (pack,) = (store.root / "shards" / "records").glob("*.parquet")
+    before = store.manifest.episode("e00")
+    now = ingest(store, "e00", "2")
+    store.snapshots.take(store.manifest.episodes(), "reprocess d")
+    assert sweep(store, n_snapshots=1, grace_s=3600.0, is_dry_run=True) != []
+    assert "pack" not in {each.kind for each in sweep(store, n_snapshots=1, grace_s=3600.0)}, "it is young"
+
+    for path in store.root.rglob("*.*"):
+        old(path)
+    ingest(store, "e00", "3")
+    store.snapshots.take(store.manifest.episodes(), "reprocess d again")
+    dry = sweep(store, n_snapshots=1, grace_s=3600.0, is_dry_run=True)
+    assert pack.exists()
+    assert sweep(store, n_snapshots=1, grace_s=3600.0) == dry
+    assert {each.kind for each in dry} >= {"pack", "record", "table", "snapshot"}
+    assert not pack.exists()
+    fresh = Store(store.root)
+    assert fresh.records.get("segment", before.keys["segment"]) is None
+    assert fresh.records.get("segment", now.keys["segment"]) is None
+    assert verify(fresh) == []
+    for state in fresh.manifest.episodes():
+        record = fresh.records.get("segment", state.keys["segment"])
+        assert record.outputs["activities"] == state.tables["activities"]
+    held = fresh.packs.keys()
+    assert len(held) == N - 1
+    assert sweep(fresh, n_snapshots=1, grace_s=3600.0) == []
+
+
 def test_a_damaged_small_file_does_not_get_into_a_shard(store):
     path = store.objects.path_of(content_of(store, "e04"))
     path.write_bytes(path.read_bytes()[:-3])

@@ -4,6 +4,7 @@ import time
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import PurePosixPath
+from typing import TypeAlias
 
 from demoplan.errors import StoreError, UsageError
 from demoplan.store.manifest import EpisodeState
@@ -12,9 +13,12 @@ from demoplan.store.records import Record
 from demoplan.store.store import SWEEP, Store
 from demoplan.store.verifying import LEFTOVER_AGE_S
 
-_ORDER = ("snapshot", "record", "packed", "table", "shard", "states", "leftover")
+_ORDER = ("snapshot", "record", "pack", "packed", "table", "shard", "states", "leftover")
 _AT_ONCE = ("snapshot", "packed", "leftover")
 """What goes however young it is."""
+
+_Key: TypeAlias = tuple[str, str]
+"""Stage and key of a record."""
 
 GRACE_S = 24 * 3600.0
 """What is younger than this stays, named or not: somebody may be about to name it [s]."""
@@ -27,7 +31,8 @@ class Swept:
     path: str
     """Relative to the store."""
     kind: str
-    """``table``, ``record``, ``shard``, ``states``, ``snapshot``, ``leftover``, or ``packed``: in a shard."""
+    """``table``, ``record``, ``shard``, ``states``, ``snapshot``, ``leftover``, ``packed``: in a shard; or
+    ``pack``: of records, written anew without those that nothing names."""
     n_bytes: int
 
 
@@ -68,7 +73,8 @@ def sweep(
     with store.place.guard(SWEEP):
         forgotten = set() if n_snapshots is None else _old_snapshots(store, n_snapshots)
         try:
-            doomed = _doomed(store, forgotten, is_history_cut=n_snapshots is not None)
+            old_s = now_s - grace_s if n_snapshots is not None else None
+            doomed, superseded = _doomed(store, forgotten, old_s)
         except StoreError as error:
             raise StoreError(
                 f"{error}. Nothing was removed, since what it names is not known; "
@@ -86,14 +92,24 @@ def sweep(
                 continue
             swept.append(Swept(entry.name, kind, entry.n_bytes))
             if not is_dry_run:
+                if kind == "pack":
+                    _keep_rest(store, entry.name, superseded)
                 store.place.remove(entry.name)
         if forgotten and not is_dry_run:
             store.snapshots.forget(forgotten)
     return sorted(swept)
 
 
-def _doomed(store: Store, forgotten: set[str], *, is_history_cut: bool) -> list[tuple[Entry, str]]:
-    """What nothing names, with its kind."""
+def _doomed(
+    store: Store, forgotten: set[str], old_s: float | None
+) -> tuple[list[tuple[Entry, str]], set[_Key]]:
+    """What nothing names, with its kind; and the records of episodes' stages that nothing names.
+
+    Args:
+        store: The store.
+        forgotten: Snapshots that name nothing any more.
+        old_s: Records in packs that were written before this may go, and loose ones; None lets all stay.
+    """
     # Listed before what names them is read: what is named later is not among them.
     tables = store.place.entries(store.objects.folder)
     loose = store.place.entries(store.records.folder)
@@ -107,19 +123,22 @@ def _doomed(store: Store, forgotten: set[str], *, is_history_cut: bool) -> list[
             named_lists |= {
                 store.snapshots.lists.name_of(content) for content in store.snapshots.lists_of(snapshot_id)
             }
+    packs = store.place.entries(store.packs.folder)
     records = dict(_records(store))
-    # What is in a pack stays with it: packs are not written anew to forget something.
-    loose_names = {store.records.name_of(*key) for key in store.records.loose() - store.packs.keys()}
-    superseded = _superseded(records, named) & loose_names if is_history_cut else set()
+    superseded: set[_Key] = set()
+    if old_s is not None:
+        young = {key for e in packs if e.modified_s > old_s for key in store.packs.records_of(e.name)}
+        superseded = _superseded(records, named) - young
     kept = {content for state in named for content in state.tables.values()}
-    kept |= {c for name, record in records.items() if name not in superseded for c in record.outputs.values()}
+    kept |= {c for key, record in records.items() if key not in superseded for c in record.outputs.values()}
+    gone = {store.records.name_of(*key) for key in superseded}
     doomed = [(store.place.entry(store.snapshots.name_of(name)), "snapshot") for name in forgotten]
-    doomed += [(entry, "record") for entry in loose if entry.name in superseded]
+    doomed += [(entry, "record") for entry in loose if entry.name in gone]
     doomed += [(entry, "table") for entry in tables if PurePosixPath(entry.name).stem not in kept]
     doomed += _in_shards(store, tables, kept)
-    doomed += _in_packs(store, loose)
+    doomed += _in_packs(store, packs, [entry for entry in loose if entry.name not in gone], superseded)
     doomed += [(entry, "states") for entry in lists if entry.name not in named_lists]
-    return [(entry, kind) for entry, kind in doomed if entry is not None]
+    return [(entry, kind) for entry, kind in doomed if entry is not None], superseded
 
 
 def _in_shards(store: Store, tables: list[Entry], kept: set[str]) -> list[tuple[Entry, str]]:
@@ -141,19 +160,30 @@ def _in_shards(store: Store, tables: list[Entry], kept: set[str]) -> list[tuple[
     return doomed
 
 
-def _in_packs(store: Store, loose: list[Entry]) -> list[tuple[Entry, str]]:
-    """Records that a pack holds too, and packs whose records are all in others."""
+def _in_packs(
+    store: Store, packs: list[Entry], loose: list[Entry], superseded: set[_Key]
+) -> list[tuple[Entry, str]]:
+    """Records that a pack holds too, packs of which no record is needed here, and packs of which some are."""
     by_name = {entry.name: entry for entry in loose}
     doomed: list[tuple[Entry, str]] = []
-    held: set[tuple[str, str]] = set()
-    for entry in sorted(store.place.entries(store.packs.folder), key=lambda each: (-each.n_bytes, each.name)):
+    held: set[_Key] = set()
+    for entry in sorted(packs, key=lambda each: (-each.n_bytes, each.name)):
         keys = store.packs.records_of(entry.name).keys()
-        if keys <= held:
+        if keys - superseded <= held:
             doomed.append((entry, "packed"))
             continue
-        held |= keys
+        held |= keys - superseded
+        if keys & superseded:
+            doomed.append((entry, "pack"))
     names = (store.records.name_of(*key) for key in sorted(held))
     return doomed + [(by_name[name], "packed") for name in names if name in by_name]
+
+
+def _keep_rest(store: Store, pack: str, superseded: set[_Key]) -> None:
+    """Write those records of a pack into another one that something names."""
+    rest = [record for key, record in store.packs.records_of(pack).items() if key not in superseded]
+    if rest:
+        store.packs.put(rest)
 
 
 def _old_snapshots(store: Store, n_snapshots: int) -> set[str]:
@@ -161,24 +191,20 @@ def _old_snapshots(store: Store, n_snapshots: int) -> set[str]:
     return set(store.snapshots.ids()) - set(latest[:n_snapshots])
 
 
-def _records(store: Store) -> Iterable[tuple[str, Record]]:
+def _records(store: Store) -> Iterable[tuple[_Key, Record]]:
     for stage, key in sorted(store.records.keys()):
         record = store.records.get(stage, key)
         if record is not None:
-            yield store.records.name_of(stage, key), record
+            yield (stage, key), record
 
 
-def _superseded(records: dict[str, Record], named: Iterable[EpisodeState]) -> set[str]:
+def _superseded(records: dict[_Key, Record], named: Iterable[EpisodeState]) -> set[_Key]:
     """Records of episodes' stages that no state names. Records of other stages have no state: they stay."""
     in_use: dict[str, set[str]] = {}
     for state in named:
         for stage, key in state.keys.items():
             in_use.setdefault(stage, set()).add(key)
-    return {
-        name
-        for name, record in records.items()
-        if record.stage in in_use and record.key not in in_use[record.stage]
-    }
+    return {(stage, key) for stage, key in records if stage in in_use and key not in in_use[stage]}
 
 
 def _leftovers(store: Store) -> Iterable[Entry]:
