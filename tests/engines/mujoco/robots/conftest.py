@@ -2,6 +2,7 @@ import pytest
 
 pytest.importorskip("mujoco")
 
+from demoplan.engines.mujoco.scene_spec import ObjectSpec, SceneSpec
 from demoplan.engines.mujoco.session import Motion, MotionReport, Session
 
 
@@ -38,3 +39,16 @@ class Stacker:
 @pytest.fixture(scope="session")
 def stacker() -> Stacker:
     return Stacker()
+
+
+@pytest.fixture(scope="session")
+def a_pair_each() -> SceneSpec:
+    """Two cubes to the left for one hand, two to the right for the other."""
+    return SceneSpec(
+        objects=(
+            ObjectSpec(name="cube_red", position_xyz_m=(0.0, -0.25, 0.025)),
+            ObjectSpec(name="cube_blue", position_xyz_m=(0.1, -0.15, 0.025)),
+            ObjectSpec(name="cube_green", position_xyz_m=(0.0, 0.25, 0.025)),
+            ObjectSpec(name="cube_yellow", position_xyz_m=(0.1, 0.15, 0.025)),
+        )
+    )

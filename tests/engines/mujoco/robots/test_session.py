@@ -245,16 +245,8 @@ def test_a_motion_can_be_cancelled_and_the_hand_stays_where_it_is():
     assert np.linalg.norm(place_of(session, RIGHT) - before) < 0.002
 
 
-def test_two_hands_stack_at_the_same_time(stacker):
-    scene = SceneSpec(
-        objects=(
-            ObjectSpec(name="cube_red", position_xyz_m=(0.0, -0.25, 0.025)),
-            ObjectSpec(name="cube_blue", position_xyz_m=(0.1, -0.15, 0.025)),
-            ObjectSpec(name="cube_green", position_xyz_m=(0.0, 0.25, 0.025)),
-            ObjectSpec(name="cube_yellow", position_xyz_m=(0.1, 0.15, 0.025)),
-        )
-    )
-    session = open_session(scene, "gripper_dual", seed=0)
+def test_two_hands_stack_at_the_same_time(stacker, a_pair_each):
+    session = open_session(a_pair_each, "gripper_dual", seed=0)
     assert set(session.hands) == {"Left_hand", RIGHT}
     left = stacker.motions("cube_green", "cube_yellow")
     right = stacker.motions("cube_red", "cube_blue")

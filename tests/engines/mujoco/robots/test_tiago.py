@@ -79,16 +79,8 @@ def test_the_arms_encoders_agree_with_inverse_kinematics():
     assert np.linalg.norm(control.position_xyz_m() - goal) < 0.003
 
 
-def test_two_arms_stack_at_the_same_time_and_neither_reaches_everywhere(stacker):
-    scene = SceneSpec(
-        objects=(
-            ObjectSpec(name="cube_red", position_xyz_m=(0.0, -0.25, 0.025)),
-            ObjectSpec(name="cube_blue", position_xyz_m=(0.1, -0.15, 0.025)),
-            ObjectSpec(name="cube_green", position_xyz_m=(0.0, 0.25, 0.025)),
-            ObjectSpec(name="cube_yellow", position_xyz_m=(0.1, 0.15, 0.025)),
-        )
-    )
-    session = open_session(scene, "tiago_dual", seed=0)
+def test_two_arms_stack_at_the_same_time_and_neither_reaches_everywhere(stacker, a_pair_each):
+    session = open_session(a_pair_each, "tiago_dual", seed=0)
     assert session.can_reach(RIGHT, (0.0, -0.2, 0.03)) is None
     assert session.can_reach(RIGHT, (0.0, 0.25, 0.03)) is not None
     assert session.can_reach("Left_hand", (0.0, 0.2, 0.03)) is None
