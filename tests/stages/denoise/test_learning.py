@@ -220,5 +220,5 @@ def test_what_is_avoided_by_habit_is_not_forbidden():
 
     at_random = chances([0, 11, 9, 12, 10, 8, 11], n=60)
     of_habit = chances([0, 25, 2, 0, 1, 30, 1], n=60)
-    assert {each.predicate for each in forbidden(at_random, DenoiseParams())} == {0}
-    assert not forbidden(of_habit, DenoiseParams())
+    assert {each.predicate for each in forbidden(at_random, {}, DenoiseParams())} == {0}
+    assert not forbidden(of_habit, {}, DenoiseParams())

@@ -16,7 +16,7 @@ from demoplan.language.traces import TraceSet
 from demoplan.language.traces.values import Codes
 from demoplan.stages.denoise.counts import Counts, count
 from demoplan.stages.denoise.implications import Implications, Rules, needed
-from demoplan.stages.denoise.opportunities import Occasions, Opportunity, forbidden, occasions
+from demoplan.stages.denoise.opportunities import Occasions, Opportunity, forbidden, occasions, undone
 from demoplan.stages.denoise.params import DenoiseParams
 from demoplan.stages.denoise.snapshots import snapshots
 from demoplan.stages.denoise.touches import Candidate, GroundCodes, candidates, spans, touch
@@ -155,16 +155,19 @@ def conclude(gathered: Gathered, params: DenoiseParams = DenoiseParams()) -> Den
         int(action): np.flatnonzero(owner == action)
         for action in np.flatnonzero(gathered.counts.n_transitions)
     }
-    negative = {} if implications is None else _forbidden(over, of_action, verdicts, implications, params)
+    names = [each.name for each in traces.signatures.actions]
+    negative = (
+        {} if implications is None else _forbidden(over, of_action, names, verdicts, implications, params)
+    )
     rows: list[Row] = []
     for indices in of_action.values():
         rows += _literals(traces, over, indices, verdicts, gathered.counts, implications, negative)
     rates = zip(beliefs.rates.missed.tolist(), beliefs.rates.imagined.tolist(), strict=True)
-    names = [each.name for each in traces.signatures.predicates]
+    predicates = [each.name for each in traces.signatures.predicates]
     return Denoised(
         operator_rows=_operators(gathered),
         literal_rows=tuple(rows),
-        flip_rates=dict(zip(names, rates, strict=True)),
+        flip_rates=dict(zip(predicates, rates, strict=True)),
         flip_rate=beliefs.flip_rate,
         n_rounds=beliefs.n_rounds,
         is_settled=beliefs.is_settled,
@@ -223,6 +226,7 @@ def _at_most(odds: NDArray[np.float64], params: DenoiseParams) -> NDArray[np.flo
 def _forbidden(
     over: tuple[Candidate, ...],
     of_action: Mapping[int, Codes],
+    names: Sequence[str],
     verdicts: _Verdicts,
     implications: Implications,
     params: DenoiseParams,
@@ -238,7 +242,15 @@ def _forbidden(
             if verdicts.effect[index] != ADD and not verdicts.is_condition[index]
         }
         found += implications.opportunities(conditions, others)
-    return forbidden(found, params)
+    effects = (
+        (
+            names[action],
+            [over[index] for index in indices if verdicts.effect[index] == ADD],
+            [over[index] for index in indices if verdicts.effect[index] == DELETE],
+        )
+        for action, indices in of_action.items()
+    )
+    return forbidden(found, undone(effects), params)
 
 
 def _by_action(

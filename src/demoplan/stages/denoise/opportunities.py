@@ -5,12 +5,16 @@ those left it free, and it was true often enough that neither chance nor habit c
 forbidden. How strong habits are is seen in the literals that were avoided at times: a walk at random meets
 each literal as often as it is true; whoever pursues a goal does not.
 
+A habit that is never broken looks like a rule, so beforehand the odds stand against rules. They stand less
+against those on predicates that an action does nothing but undo: who unlocks a door to no other end shows
+that something asks for open doors.
+
 Source: Gelman et al., Bayesian Data Analysis, 3rd ed. 2013, section 5.3 (beta-binomial model).
 """
 
 import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -109,8 +113,32 @@ def opportunities(
     return found
 
 
-def forbidden(found: Sequence[Opportunity], params: DenoiseParams) -> dict[Candidate, tuple[float, str]]:
-    """Those that are forbidden, by all opportunities of a domain: how surely, and why."""
+def undone(effects: Iterable[tuple[str, Sequence[Candidate], Sequence[Candidate]]]) -> dict[int, str]:
+    """Predicates that some action does nothing but undo, and the first such action.
+
+    Of an action that undoes several it cannot be said which of them it is for.
+
+    Args:
+        effects: Of each action, its name, what it adds and what it deletes.
+    """
+    found: dict[int, str] = {}
+    for action, adds, deletes in effects:
+        predicates = {each.predicate for each in deletes}
+        if len(predicates) == 1 and not adds:
+            found.setdefault(predicates.pop(), action)
+    return found
+
+
+def forbidden(
+    found: Sequence[Opportunity], by_undoing: Mapping[int, str], params: DenoiseParams
+) -> dict[Candidate, tuple[float, str]]:
+    """Those that are forbidden: how surely, and why.
+
+    Args:
+        found: All opportunities of a domain.
+        by_undoing: Predicates that an action does nothing but undo, see :func:`undone`.
+        params: Priors, and how much must have been seen.
+    """
     weights = _habits(found)
     said: dict[Candidate, tuple[float, str]] = {}
     for each in found:
@@ -120,9 +148,13 @@ def forbidden(found: Sequence[Opportunity], params: DenoiseParams) -> dict[Candi
         by_habit = np.logaddexp.reduce(
             [math.log(max(weight, 1e-300)) + _log_met(each, steady) for steady, weight in weights.items()]
         )
-        odds = float(by_rule - by_habit) - params.forbidden_prior
-        if odds > 0 and n >= params.n_forbidden_min:
+        undoes = by_undoing.get(each.literal.predicate)
+        prior = params.forbidden_prior if undoes is None else params.forbidden_prior_if_undone
+        n_min = params.n_forbidden_min if undoes is None else params.n_forbidden_if_undone_min
+        odds = float(by_rule - by_habit) - prior
+        if odds > 0 and n >= n_min:
             why = f"avoided on {n} occasions where it held in {each.share:.0%} of the chances"
+            why += "" if undoes is None else f"; {undoes} does nothing but undo it"
             said[each.literal] = 1 / (1 + math.exp(-min(odds, 700.0))), why
     return said
 

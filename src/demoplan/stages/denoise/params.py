@@ -33,6 +33,11 @@ class DenoiseParams(BeliefParams):
     by habit, so that chance and habit together have to be far away."""
     n_forbidden_min: int = 15
     """Fewer occasions than these forbid nothing, whatever the odds: ten of one kind may all be one habit."""
+    forbidden_prior_if_undone: float = 2.0
+    """The same odds for what some action does nothing but undo: nobody acts to no end, so something asks that
+    it be false, a goal or a condition; one of the few literals of that predicate may well be it."""
+    n_forbidden_if_undone_min: int = 5
+    """The same number of occasions for what some action does nothing but undo."""
     n_snapshots: int = 6
     """States per trace in which implications are looked for, evenly spaced."""
     max_snapshots: int = 600
