@@ -2,8 +2,9 @@
 
 ``python benchmarks/learners/made.py --source AMLGYM/benchmarks --out FOLDER --seed 0``; then ``run.py`` with
 ``--source FOLDER``. They serve to try a learner on what nobody developed it on. ``--own`` takes the domains
-beside this file instead, which need no source; ``--even`` walks with every ground action equally likely, so
-that actions with few ways to do them are rare.
+beside this file instead, which need no source, ``--avoiding`` those about rules and habits; ``--even`` walks
+with every ground action equally likely, so that actions with few ways to do them are rare; ``--planned``
+demonstrates plans for one goal after another, by who knows the rules and wastes no step.
 """
 
 import argparse
@@ -15,6 +16,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 import reference
+import scoring
+from avoiding_worlds import AVOIDING, HABITS, Habit
 from own_worlds import OWN, World
 
 
@@ -100,25 +103,70 @@ def applicable(
 
 
 def walk(
-    model: reference.Model, world: World, length: int, draw: random.Random, *, is_even: bool = False
+    model: reference.Model,
+    world: World,
+    length: int,
+    draw: random.Random,
+    *,
+    is_even: bool = False,
+    habit: Habit | None = None,
 ) -> tuple[list[set[reference.Fact]], list[reference.Fact]]:
-    """A random walk: an action's name first, so that rare ones are seen, then objects; or both at once."""
+    """A random walk: an action's name first, so that rare ones are seen, then objects; or both at once.
+
+    It ends early where nothing can be done.
+    """
     objects, state, _ = world
     states, actions = [state], []
     for _ in range(length):
         options = {name: ways for name, ways in applicable(model, objects, states[-1]).items() if ways}
+        if not options:
+            break
         if is_even:
             name, arguments = draw.choice([(name, way) for name in sorted(options) for way in options[name]])
         else:
             name = draw.choice(sorted(options))
-            arguments = draw.choice(options[name])
+            ways = options[name]
+            weights = [habit((name, *way), states[-1]) for way in ways] if habit else None
+            arguments = draw.choices(ways, weights)[0] if habit else draw.choice(ways)
         states.append(model.actions[name].apply(states[-1], arguments))
         actions.append((name, *arguments))
     return states, actions
 
 
+def errands(
+    path: Path, world: World, length: int, draw: random.Random, cache: Path
+) -> tuple[list[set[reference.Fact]], list[reference.Fact]]:
+    """Plans for one small goal after another, as long as a walk; each goal can be reached by a walk."""
+    model = reference.read_domain(path)
+    objects, state, wanted = world
+    states, actions = [state], list[reference.Fact]()
+    cache.mkdir(exist_ok=True)
+    constants = {name for name, _ in model.constants}
+    for _ in range(length):
+        ahead = walk(model, (objects, states[-1], wanted), 40, draw)[0][-1]
+        new = sorted(fact for fact in ahead - states[-1] if fact[0] in wanted)
+        goal = draw.sample(new, min(len(new), draw.randint(1, 3)))
+        text = reference.problem_text("errand", model.name, objects, states[-1], constants)
+        problem = cache / "errand.pddl"
+        facts = " ".join(f"({' '.join(fact)})" for fact in goal)
+        problem.write_text(text.replace("(and )", f"(and {facts})"))
+        steps = scoring.plan(path.read_text(), problem, 60, cache) if goal else []
+        for name, *arguments in steps if isinstance(steps, list) else []:
+            states.append(model.actions[name].apply(states[-1], tuple(arguments)))
+            actions.append((name, *arguments))
+        if len(actions) >= length:
+            break
+    return states[: length + 1], actions[:length]
+
+
 def make(
-    path: Path, out: Path, draw_world: Callable[[random.Random], World], seed: int, *, is_even: bool
+    path: Path,
+    out: Path,
+    draw_world: Callable[[random.Random], World],
+    seed: int,
+    *,
+    is_even: bool,
+    is_planned: bool,
 ) -> None:
     """Traces, problems and held-out states of one domain."""
     domain = path.stem
@@ -136,7 +184,10 @@ def make(
     tested = {}
     for number, length in enumerate((4, 6, 11, 14, 18, 20, 21, 23, 26, 29)):
         world = draw_world(draw)
-        states, actions = walk(model, world, length, draw, is_even=is_even)
+        if is_planned:
+            states, actions = errands(path, world, length, draw, out / "plans")
+        else:
+            states, actions = walk(model, world, length, draw, is_even=is_even, habit=HABITS.get(domain))
         (out / f"trajectories/learning/{domain}/{number}_{domain}_traj").write_text(
             reference.trace_text(states, actions)
         )
@@ -165,15 +216,21 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--source", type=Path, help="amlgym's benchmarks folder")
     parser.add_argument("--own", action="store_true", help="domains beside this file")
+    parser.add_argument(
+        "--avoiding", action="store_true", help="domains beside this file, of rules and habits"
+    )
+    parser.add_argument("--planned", action="store_true", help="plans instead of walks")
     parser.add_argument("--even", action="store_true", help="every ground action equally likely")
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--seed", type=int, default=0)
     args = parser.parse_args()
-    if args.own == (args.source is not None):
-        parser.error("give either --source or --own")
-    folder = Path(__file__).parent if args.own else args.source
-    for domain, world in (OWN if args.own else WORLDS).items():
-        make(folder / "domains" / f"{domain}.pddl", args.out, world, args.seed, is_even=args.even)
+    if args.own + args.avoiding + (args.source is not None) != 1:
+        parser.error("give one of --source, --own and --avoiding")
+    folder = args.source or Path(__file__).parent
+    worlds = OWN if args.own else AVOIDING if args.avoiding else WORLDS
+    for domain, world in worlds.items():
+        path = folder / "domains" / f"{domain}.pddl"
+        make(path, args.out, world, args.seed, is_even=args.even, is_planned=args.planned)
 
 
 main()
