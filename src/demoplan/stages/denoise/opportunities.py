@@ -7,7 +7,8 @@ each literal as often as it is true; whoever pursues a goal does not.
 
 A habit that is never broken looks like a rule, so beforehand the odds stand against rules. They stand less
 against those on predicates that an action does nothing but undo: who unlocks a door to no other end shows
-that something asks for open doors.
+that something asks for open doors. Stated in vain, such a condition mostly costs a plan one step, since that
+action can meet it.
 
 Source: Gelman et al., Bayesian Data Analysis, 3rd ed. 2013, section 5.3 (beta-binomial model).
 """
