@@ -139,3 +139,21 @@ def test_fewer_occasions_or_fewer_chances_forbid_nothing_whatever_undoes_it(n, s
     # The same literal met often enough is forbidden.
     often = [Opportunity(found[0].literal, Occasions(60, 0.0), share), *found[1:]]
     assert set(forbidden(often, {0: "open"}, DenoiseParams())) == {found[0].literal}
+
+
+def test_what_is_met_always_says_no_more_of_habits_than_what_is_never_met():
+    def chances(*met):
+        return [
+            Opportunity(Candidate(0, k, Atom(f"p{k}", ()), ()), Occasions(40, n_true), 0.2)
+            for k, n_true in enumerate(met)
+        ]
+
+    at_random = chances(0, 7, 9, 8, 6)
+    assert set(forbidden(at_random, {0: "open"}, DenoiseParams())) == {at_random[0].literal}
+    # A condition that was not found: true on every occasion, though seldom elsewhere.
+    one_missed = chances(0, 7, 9, 8, 6, 40)
+    assert forbidden(one_missed, {0: "open"}, DenoiseParams()) == forbidden(
+        at_random, {0: "open"}, DenoiseParams()
+    )
+    of_habit = chances(0, 1, 38, 39, 1)
+    assert not forbidden(of_habit, {0: "open"}, DenoiseParams())

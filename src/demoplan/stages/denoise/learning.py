@@ -235,11 +235,11 @@ def _forbidden(
     found: list[Opportunity] = []
     for indices in of_action.values():
         conditions = [over[index] for index in indices if verdicts.is_condition[index]]
-        # Nobody does again what is done: that a literal was false before the action adds it is a habit.
+        # Nobody does again what is done, or undoes what is undone: what an action changes it meets by habit.
         others = {
             over[index]: verdicts.occasions[index]
             for index in indices
-            if verdicts.effect[index] != ADD and not verdicts.is_condition[index]
+            if verdicts.effect[index] == KEEP and not verdicts.is_condition[index]
         }
         found += implications.opportunities(conditions, others)
     effects = (

@@ -168,15 +168,20 @@ _LEAST_SHARE = 0.05
 
 
 def _habits(found: Sequence[Opportunity]) -> dict[float, float]:
-    """Probability of each steadiness, by the literals that were met at least once."""
+    """Probability of each steadiness, by the literals that were met at times.
+
+    What was met always or never may be a rule that was or was not found, and says nothing of habits.
+    """
     logs = np.zeros(len(_STEADINESS))
     for each in found:
-        if each.met.n_true >= 1 / 2:
+        n, n_true = each.met.n, each.met.n_true
+        if 1 / 2 <= n_true <= n - 1 / 2:
             for row, steady in enumerate(_STEADINESS):
-                never = math.exp(
-                    _log_met(Opportunity(each.literal, Occasions(each.met.n, 0), each.share), steady)
+                ruled_out = sum(
+                    math.exp(_log_met(Opportunity(each.literal, Occasions(n, extreme), each.share), steady))
+                    for extreme in (0, n)
                 )
-                logs[row] += _log_met(each, steady) - math.log(max(1 - never, 1e-9))
+                logs[row] += _log_met(each, steady) - math.log(max(1 - ruled_out, 1e-9))
     weights = np.exp(logs - logs.max())
     return dict(zip(_STEADINESS, (weights / weights.sum()).tolist(), strict=True))
 
