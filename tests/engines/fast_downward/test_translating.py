@@ -95,6 +95,52 @@ def test_one_task_leaves_nothing_to_the_next(fake):
     assert second.output == "[1] ['b'] task-1\n"
 
 
+def test_practice_changes_nothing_that_a_later_task_can_see(fake):
+    see = "print(state.seen, getattr(state, 'n', 0), sys.argv[1:], sys.stdin.read() == '')"
+    run = fake(
+        f"import sys; {see}; state.n = 1; state.seen.append(sys.argv[1]); state.seen = state.seen + [0]"
+    )
+    said = [run("a").output for _ in range(3)]
+    assert said == ["[] 0 ['a'] True\n"] * 3
+    assert len(warm_processes()) == 1
+
+
+def test_practice_comes_once_and_only_after_a_task_that_went_well(fake, tmp_path):
+    run = fake(
+        "import sys; "
+        f"open({str(tmp_path / 'practised')!r}, 'a').write('x' * (sys.argv[1] == '--sas-file')); "
+        "raise SystemExit(int(sys.argv[1] == 'bad'))"
+    )
+
+    def n_practised():
+        return len((tmp_path / "practised").read_text())
+
+    assert run("bad").exit_code == 1
+    assert run("bad").exit_code == 1
+    assert n_practised() == 0
+    for _ in range(3):
+        assert run("good").exit_code == 0
+    assert n_practised() == 1
+
+
+def test_practice_that_fails_harms_nobody(fake):
+    run = fake("import sys; 1 / (sys.argv[1] != '--sas-file'); print('done')")
+    assert [run("a").output for _ in range(3)] == ["done\n"] * 3
+    assert len(warm_processes()) == 1
+
+
+def test_the_task_for_practice_can_be_translated(planner, tmp_path):
+    ended = translate_cold(
+        translating.practice_arguments(),
+        folder=tmp_path,
+        installation=planner,
+        wall_s=30.0,
+        memory_bytes=None,
+    )
+    assert ended.exit_code == 0
+    assert "No relaxed solution" not in ended.output
+
+
 @pytest.mark.parametrize(
     ("source", "exit_code", "said"),
     [
