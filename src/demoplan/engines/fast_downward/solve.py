@@ -11,11 +11,13 @@ import tempfile
 from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 
 import dataframely as dy
 import polars as pl
 
+from demoplan.engines.fast_downward.inequalities import state_inequalities
 from demoplan.engines.fast_downward.installation import INSTALL_HINT, Installation, find_installation
 from demoplan.engines.fast_downward.outcomes import (
     Outcome,
@@ -40,6 +42,8 @@ from demoplan.language.pddl import (
 from demoplan.tables import Plans
 
 _STEP = re.compile(r"\(\s*([^\s()]+)((?:\s+[^\s()]+)*)\s*\)")
+_domain_text = lru_cache(maxsize=16)(render_domain)
+"""Few domains are planned with again and again."""
 _TASK_SIZE = re.compile(r"^Translator operators: (\d+)", re.MULTILINE)
 
 
@@ -111,7 +115,7 @@ def solve(
     n_operators = len(domain.operators)
     goal = goal_text(problem.goal)
     try:
-        domain_text, problem_text = render_domain(domain), render_problem(problem, domain)
+        domain_text, problem_text = _domain_text(domain), render_problem(problem, domain)
     except DataError as error:
         return Attempt(
             domain_id=DomainId(""),
@@ -123,14 +127,21 @@ def solve(
             n_operators=n_operators,
         )
     domain_id, problem_id = DomainId(content_hash(domain_text)[:16]), content_hash(problem_text)
+    stated_domain, stated_problem = state_inequalities(domain, problem)
     if not unmet(problem.goal, problem.initial):
         verdict = Verdict("solved", True, "the goal holds already")
         answer = TextAnswer(verdict=verdict, plan=Plan(), is_optimal=True)
     else:
-        answer = solve_text(domain_text, problem_text, params, searches=searches, installation=installation)
+        answer = solve_text(
+            _domain_text(stated_domain),
+            render_problem(stated_problem, stated_domain),
+            params,
+            searches=searches,
+            installation=installation,
+        )
     verdict, plan, is_validated = answer.verdict, None, False
     if answer.plan is not None:
-        symbols = problem_symbols(problem, domain_symbols(domain))
+        symbols = problem_symbols(stated_problem, domain_symbols(stated_domain))
         plan = Plan(
             tuple(
                 Step(symbols.name(step.operator), tuple(symbols.name(name) for name in step.arguments))
