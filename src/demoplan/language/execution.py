@@ -9,7 +9,7 @@ and adds holds afterwards, as PDDL has it: M. Fox, D. Long, "PDDL2.1", JAIR 20, 
 definition 8.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import TypeAlias
 
@@ -123,11 +123,12 @@ def execute(domain: Domain, problem: Problem, plan: Plan) -> Execution:
         The states on the way, the cost of the steps taken, and what is wrong first, if anything is.
     """
     operators = {operator.name: operator for operator in domain.operators}
+    types = {**dict(domain.constants), **dict(problem.objects)}
     states = [frozenset(problem.initial)]
     cost = 0
     for index, step in enumerate(plan.steps):
         operator = operators.get(step.operator)
-        fault = _misfit(step, operator, domain, problem)
+        fault = _misfit(step, operator, domain, types)
         if operator is None or fault:
             return Execution(tuple(states), cost, Violation(index, step, fault))
         action = ground(operator, step)
@@ -146,14 +147,13 @@ def execute(domain: Domain, problem: Problem, plan: Plan) -> Execution:
     return Execution(tuple(states), cost, None)
 
 
-def _misfit(step: Step, operator: Operator | None, domain: Domain, problem: Problem) -> str:
-    """Why a step does not fit its operator's parameters; empty if it does."""
+def _misfit(step: Step, operator: Operator | None, domain: Domain, types: Mapping[str, str]) -> str:
+    """Why a step does not fit its operator's parameters, given its objects' types; empty if it does."""
     if operator is None:
         available = ", ".join(each.name for each in domain.operators) or "none"
         return f"there is no operator {step.operator!r}; available: {available}"
     if len(step.arguments) != len(operator.parameters):
         return f"it has {len(step.arguments)} arguments; {operator.name} takes {len(operator.parameters)}"
-    types = {**dict(domain.constants), **dict(problem.objects)}
     for name, parameter in zip(step.arguments, operator.parameters, strict=True):
         if name not in types:
             return f"there is no object {name!r}"

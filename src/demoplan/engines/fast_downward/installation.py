@@ -2,6 +2,7 @@
 
 import os
 from dataclasses import dataclass
+from functools import lru_cache
 from importlib import metadata
 from pathlib import Path
 
@@ -36,4 +37,10 @@ def find_installation() -> Installation | None:
         return None
     if not os.access(search, os.X_OK):
         return None
-    return Installation(search=search, translator_path=translator_path, version=distribution.version)
+    return Installation(search=search, translator_path=translator_path, version=_version_at(search))
+
+
+@lru_cache(maxsize=4)
+def _version_at(search: Path) -> str:
+    """The version of the wheel that holds a program; reading it takes longer than finding the program."""
+    return metadata.version(_DISTRIBUTION)

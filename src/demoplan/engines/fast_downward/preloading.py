@@ -38,6 +38,8 @@ to find next to nothing: there is little in circles."""
 def main() -> None:
     """Load, then answer requests to the end of the input."""
     package, *practice = sys.argv[1:]
+    # What is loaded stays, and so does what little garbage it makes: looking for that takes a while.
+    gc.disable()
     # What modules print while they are loaded, or a fork at any time, must not look like an answer; what they
     # read must not be a request.
     requests, answers = os.fdopen(os.dup(0)), os.fdopen(os.dup(1), "w")
@@ -48,7 +50,6 @@ def main() -> None:
     importlib.import_module(f"{package}.__main__")
     del sys.modules[f"{package}.__main__"]
     # Collecting garbage in a fork would copy every page that it looks at.
-    gc.collect()
     gc.freeze()
     for line in requests:
         request = json.loads(line)
@@ -83,7 +84,6 @@ def _practise(package: str, arguments: Sequence[str]) -> None:
     sys.stdout.flush()
     for module, state in states:
         _restore(module, state)
-    gc.collect()
     gc.freeze()
 
 
@@ -111,6 +111,7 @@ def _restore(module: ModuleType, state: dict[str, tuple[Any, Any]]) -> None:
 def _run(package: str, request: dict[str, Any]) -> None:
     """In the fork: be a process that was started for this one thing. Never returns."""
     gc.set_threshold(*_COLLECTION_THRESHOLDS)
+    gc.enable()
     code = 1
     try:
         os.chdir(request["folder"])

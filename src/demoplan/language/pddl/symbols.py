@@ -10,7 +10,7 @@ only, and can be read backwards.
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 from demoplan.errors import UnknownNameError
 from demoplan.ids import content_hash
@@ -127,6 +127,7 @@ class SymbolMap:
         return tuple(sorted((symbol, name) for _, name, symbol in self.entries if symbol != name))
 
 
+@lru_cache(maxsize=32)
 def domain_symbols(domain: Domain) -> SymbolMap:
     """The names of a domain."""
     names = [("type", name) for name in domain.types.names if name != ROOT]
