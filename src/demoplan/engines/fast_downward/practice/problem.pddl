@@ -2,9 +2,9 @@
   (:domain practice)
 
   (:objects
-    arm_1 arm_2 - arm
+    arm_1 - arm
     cup_1 cup_2 cup_3 - cup
-    high low - shelf)
+    low - shelf)
 
   (:init
     (= (total-cost) 0)
@@ -18,7 +18,7 @@
     (distinct cup_3 cup_2)
     (upon cup_1 cup_2)
     (upon cup_2 low)
-    (upon cup_3 high))
+    (upon cup_3 low))
 
   (:goal (and
     (upon cup_2 cup_3)
