@@ -11,8 +11,8 @@ hands, seven operators). Everybody gets the same PDDL and the same search, the f
 - **unified-planning**: its reader and its Fast Downward engine, on the same two files, if it is installed.
 
 Overhead is all that is used, by us and by every program started, but for the time that the search program
-says it took in all. Processor time is a mean over problems, with the one start of the warm translator in it;
-wall time is a median, and says little on a busy machine.
+says it took in all. Processor time is a mean over problems, with the one start of the warm translator and its
+practice in it; wall time is a median, and says little on a busy machine.
 """
 
 import argparse
