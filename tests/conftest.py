@@ -1,5 +1,6 @@
 """What every test may use: the slow marker, where recordings that are not ours may be found, and an S3 server."""
 
+import gc
 import json
 import os
 import subprocess
@@ -63,6 +64,15 @@ def small_dataset(tmp_path_factory):
     text += "goals:\n  - {name: one, goal: 'onTop(cube_red,cube_blue)'}\n"
     (folder / "dataset.yaml").write_text(text)
     return folder, root
+
+
+@pytest.fixture
+def no_collector():
+    """Python's collector of circles does nothing: what is not used any more goes at once, or it stays."""
+    gc.collect()
+    gc.disable()
+    yield
+    gc.enable()
 
 
 class S3Server:

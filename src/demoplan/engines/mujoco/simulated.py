@@ -1,5 +1,6 @@
 """The session that MuJoCo runs: one clock for physics, hands and sensors."""
 
+import weakref
 from collections.abc import Iterable
 from dataclasses import fields, replace
 
@@ -93,7 +94,11 @@ class SimulatedSession:
         self.checker = Checker(
             self.model, {name: (self._joints[name], self._geoms[name]) for name in scene.names}, self._arms
         )
-        self._controls = {hand: ArmControl(arm, self, params.skills) for hand, arm in self._arms.items()}
+        # Hands know their session weakly. In a circle its models, with TIAGo 75 MB that Python's collector does
+        # not count, would stay until the collector happens to come by: dozens of runs later.
+        around = weakref.proxy(self)
+        self._controls = {hand: ArmControl(arm, around, params.skills) for hand, arm in self._arms.items()}
+        weakref.finalize(self, _abandon, tuple(self._controls.values())).atexit = False
         self._watch = ContactWatch(
             self.model,
             tuple(self._controls.values()),
@@ -386,6 +391,11 @@ class SimulatedSession:
         for name in [name for name, (_, _, until) in self._obstacles.items() if self.time_ns >= until]:
             index = self._obstacles.pop(name)[0]
             self.data.mocap_pos[self.model.body(f"obstacle:{index}").mocapid[0]] = _parked(index)
+
+
+def _abandon(controls: Iterable[ArmControl]) -> None:
+    for control in controls:
+        control.abandon()
 
 
 def _with_parameters(params: SkillParams, motion: Motion) -> SkillParams:

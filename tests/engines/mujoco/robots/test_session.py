@@ -1,3 +1,5 @@
+import weakref
+
 import numpy as np
 import polars as pl
 import pytest
@@ -334,3 +336,29 @@ def test_a_lying_cylinder_is_taken_across_and_put_elsewhere_on_the_table(stacker
         assert report.state == "succeeded", report.reason
     session.advance(0.3)
     assert session.is_resting_on("rod", "table")
+
+
+def models_of(session):
+    """What of a session holds the memory of physics, to be seen without being kept."""
+    arms = [control.arm for control in session.others_of("")]
+    return [weakref.ref(each) for each in (session.model, session.data, session.checker, *arms)]
+
+
+@pytest.mark.parametrize("robot", ["gripper", "gripper_dual"])
+def test_a_sessions_models_go_with_it(stacker, no_collector, robot):
+    session = opened(robot=robot, n=2)
+    stacker.stack(session, RIGHT, "cube_red", "cube_blue", n=2)
+    models = models_of(session)
+    assert all(model() is not None for model in models)
+    del session
+    assert [model() for model in models] == [None] * len(models)
+
+
+def test_a_sessions_models_go_with_it_also_in_the_middle_of_a_motion(no_collector):
+    session = opened(n=2)
+    session.start(RIGHT, Motion(activity="Reach", skill="reach", object="cube_red"))
+    session.advance(0.3)
+    assert session.report(RIGHT).state == "running"
+    models = models_of(session)
+    del session
+    assert [model() for model in models] == [None] * len(models)

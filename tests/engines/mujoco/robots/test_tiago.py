@@ -1,4 +1,5 @@
 import sys
+import weakref
 
 import numpy as np
 import pytest
@@ -178,3 +179,13 @@ def test_missing_kinematics_are_named_with_what_to_install(monkeypatch):
         monkeypatch.delitem(sys.modules, f"demoplan.engines.mujoco.robots.{module}", raising=False)
     with pytest.raises(SimulationError, match=r"TIAGo needs mink.*extra 'robot'"):
         open_session(random_scene(cube_names(1), seed=0), "tiago", seed=0)
+
+
+def test_tiagos_models_go_with_the_session(stacker, no_collector):
+    session = open_session(random_scene(cube_names(1), seed=0), "tiago", seed=0)
+    stacker.run(session, RIGHT, stacker.motions("cube_red", "table")[0])
+    arm = session.others_of("")[0].arm
+    models = [weakref.ref(each) for each in (session.model, session.data, arm, arm._inverse)]
+    models.append(weakref.ref(arm._inverse._configuration.model))
+    del session, arm
+    assert [model() for model in models] == [None] * len(models)

@@ -83,7 +83,7 @@ class ArmControl:
     """One hand of a session."""
 
     def __init__(self, arm: Arm, around: Surroundings, params: SkillParams) -> None:
-        """At rest, open."""
+        """At rest, open; whoever makes it keeps ``around`` alive, as long as it is to move."""
         self.arm = arm
         self.around = around
         self.defaults = params
@@ -143,6 +143,13 @@ class ArmControl:
             self._script.close()
             self._end("cancelled", None, "cancelled")
             self.hold_still()
+
+    def abandon(self) -> None:
+        """Forget what is under way, without a report: the session is gone."""
+        # A script that waits for its next step holds the hand, and the hand holds the script.
+        if self._script is not None:
+            self._script.close()
+            self._script = None
 
     def hold_still(self) -> None:
         """Command the place where the hand has been commanded to be last."""
