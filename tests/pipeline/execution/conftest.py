@@ -69,7 +69,7 @@ class KinematicSession:
         if motion.skill == "reach":
             way, end = [place + np.array([0, 0, 0.15]), place], None
         elif motion.skill == "grasp":
-            way, end = [None] * 20, lambda: self._grasp(hand, motion.object)
+            way, end = [None] * 20, lambda own: own._grasp(hand, motion.object)
         elif motion.skill == "carry":
             if motion.support == "table":
                 target = np.array([0.3, -0.3, self._size[motion.object][2] / 2])
@@ -81,9 +81,9 @@ class KinematicSession:
             above = np.array([0, 0, 0.2])
             way, end = [self._hand[hand] + above, target + above, target], None
         elif motion.skill == "release":
-            way, end = [None] * 20, lambda: self._release(hand)
+            way, end = [None] * 20, lambda own: own._release(hand)
         else:
-            way, end = [np.array([0.0, 0.4, 0.3])], lambda: self._grip.update({hand: 1.0})
+            way, end = [np.array([0.0, 0.4, 0.3])], lambda own: own._grip.update({hand: 1.0})
         self._way[hand], self._end[hand] = way, end
         self._report[hand] = {
             "motion": motion,
@@ -164,7 +164,7 @@ class KinematicSession:
             self._place[self._held[hand]] = self._hand[hand].copy()
         if not way:
             if self._end[hand]:
-                self._end[hand]()
+                self._end[hand](self)
             failed = report.get("fails", False)
             report |= {
                 "state": "failed" if failed else "succeeded",

@@ -1,5 +1,6 @@
 """Batches: resumable, deterministic, and a row for everything that cannot be run."""
 
+import weakref
 from dataclasses import replace
 from pathlib import Path
 
@@ -74,6 +75,26 @@ def test_what_cannot_be_run_is_a_row_that_says_so_and_the_others_go_on(jobs):
     assert outcomes["unknown"][0] == "not_started"
     assert "cube_pink" in outcomes["unknown"][1]
     assert outcomes["inside"][0] == "not_started"
+
+
+def test_a_process_that_makes_many_runs_keeps_the_physics_of_none(jobs, monkeypatch, no_collector):
+    pytest.importorskip("mujoco")
+    from demoplan.engines.mujoco import opening
+
+    models, open_session = [], opening.open_session
+
+    def watched(*arguments, **options):
+        session = open_session(*arguments, **options)
+        models.extend(weakref.ref(each) for each in (session.model, session.data, session.checker))
+        return session
+
+    monkeypatch.setattr(opening, "open_session", watched)
+    (drop,) = parse_faults("faults:\n  - {name: d, kind: drop, at: {activity: Put, delay_s: 0.6}}\n", "f")
+    unknown = GoalCase(name="unknown", goal="onTop(cube_pink, cube_blue)")
+    result = evaluate(jobs(ONE, unknown, faults=[None, drop]), n_workers=1)
+    assert set(result.runs["outcome"]) >= {"reached", "not_started"}
+    assert len(models) == 3 * 6
+    assert [model() for model in models] == [None] * len(models)
 
 
 def test_nothing_to_run_is_refused():

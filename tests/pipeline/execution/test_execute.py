@@ -1,5 +1,6 @@
 """The executor on a session without physics, in which exactly one thing goes wrong."""
 
+import weakref
 from dataclasses import replace
 from pathlib import Path
 
@@ -280,3 +281,23 @@ def test_a_fault_that_does_not_fit_the_domain_is_refused(run):
                 "{name: f, kind: wrong_effect, activity: Take, literal: 'handOpen(?hand)', change: drop}"
             ),
         )
+
+
+@pytest.mark.parametrize(
+    ("text", "arguments"),
+    [
+        (None, {}),
+        (None, {"failing": ["carry"], "hands": ("Left_hand", "Right_hand")}),
+        ("{name: f, kind: drop, at: {activity: Put, delay_s: 0.6}}", {}),
+        ("{name: f, kind: object_removed, which: thing, at: {activity: Take, delay_s: 0.1}}", {}),
+    ],
+)
+def test_a_run_that_is_over_keeps_nothing_of_its_session(
+    run, new_session, four_cubes, no_collector, text, arguments
+):
+    session = new_session(four_cubes, **arguments)
+    seen = weakref.ref(session)
+    done = run(ONE, session=session, fault=None if text is None else fault(text))
+    del session
+    assert done.run.height == 1
+    assert seen() is None

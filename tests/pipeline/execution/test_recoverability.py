@@ -1,5 +1,7 @@
 """Whether anybody could recover is decided by the world after a fault, and by nothing that monitors do."""
 
+import weakref
+
 import pytest
 
 from demoplan.manifests.faults import parse_faults
@@ -49,3 +51,16 @@ def test_a_fault_that_does_not_happen_is_no_case(decide):
     found = decide("{name: f, kind: drop, at: {activity: Put, occurrence: 9}}")
     assert (found.has_happened, found.is_recoverable) == (False, None)
     assert "did not happen" in found.reason
+
+
+def test_a_case_that_is_decided_keeps_nothing_of_its_session(
+    new_session, learned_domain, tabletop, four_cubes, no_collector
+):
+    (fault,) = parse_faults(
+        "faults:\n  - {name: f, kind: drop, at: {activity: Put, delay_s: 0.6}}\n", "faults.yaml"
+    )
+    session = new_session(four_cubes)
+    seen = weakref.ref(session)
+    assert recoverability(learned_domain, TOWER, session, tabletop, fault, seed=1).has_happened
+    del session
+    assert seen() is None

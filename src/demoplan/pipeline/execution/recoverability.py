@@ -62,14 +62,15 @@ def recoverability(
         fault=fault,
         params=replace(params, monitor="none"),
     )
-    ended = executor.run(until=lambda: executor.injector.has_shown)
-    if not executor.injector.has_shown:
+    injector = executor.injector
+    ended = executor.run(until=lambda: injector.has_shown)
+    if not injector.has_shown:
         if isinstance(fault, WrongLiteralFault):
             return Recoverability(True, False, f"no step of a wrong operator is ever taken: {ended.reason}")
         return Recoverability(False, None, f"it did not happen: {ended.outcome}: {ended.reason}".strip(": "))
     session.advance(getattr(fault, "duration_s", 0.0) + _SETTLE_S)
     planned = _planned(executor, domain)
-    if not _is_plan(planned) and executor.recovery.free_a_hand(executor.senses.truth()):
+    if not _is_plan(planned) and executor.free_a_hand(executor.senses.truth()):
         session.advance(_SETTLE_S)
         planned = _planned(executor, domain)
     if _is_plan(planned):

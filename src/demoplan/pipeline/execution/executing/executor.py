@@ -58,10 +58,10 @@ class Executor:
                     params.skills.activities,
                     f"skills table {params.skills.name!r}",
                 )
-        self.injector = Injector(fault, session, self.senses, seed)
+        self.injector = injector = Injector(fault, session, self.senses, seed)
         self.hands = Hands(session, self.injector, params)
         self.noted = StepRows(run_id)
-        self.recovery = Recovery(self.hands, self.senses, params, self._row_beside)
+        self.recovery = Recovery(self.hands, self.senses, params)
         self.counts = Counts()
         self.discrepancies = Discrepancies(
             changed_domain(domain, fault),
@@ -70,7 +70,8 @@ class Executor:
             self.noted,
             self.counts,
             params,
-            has_happened=lambda: fault is None or self.injector.is_done,
+            # Of the injector alone: nothing of a run may hold the run, or its session lives on after it.
+            has_happened=lambda: fault is None or injector.is_done,
         )
         self._n_started: Counter[str] = Counter()
         self._until: Callable[[], bool] = lambda: False
@@ -98,7 +99,7 @@ class Executor:
                     self._close_rows()
                     self.hands.advance(max(replanned.pause_s, self.params.poll_s))
                     if replanned.let_go is not None:
-                        self.recovery.open(replanned.let_go)
+                        self.recovery.open(replanned.let_go, self._row_beside())
         except RunEnded as end:
             self.hands.stop(self._course)
             self._close_rows()
@@ -130,11 +131,15 @@ class Executor:
             assert plan is not None
             plan, refusal = Plan(plan.steps[: planned.n_possible], plan.cost), planned.reason
         if plan is None:
-            if planned.outcome == "no_plan" and self.recovery.free_a_hand(sensed):
+            if planned.outcome == "no_plan" and self.free_a_hand(sensed):
                 return False
             raise RunEnded(planned.outcome, planned.reason)
         self._course = self._course_of(planned.domain, plan, refusal)
         return True
+
+    def free_a_hand(self, sensed: SensedState) -> bool:
+        """Lay down what a hand holds, or open a closed one; whether that changed anything."""
+        return self.recovery.free_a_hand(sensed, self._row_beside)
 
     def _course_of(self, domain: Domain, plan: Plan, refusal: str = "") -> Course:
         return Course(

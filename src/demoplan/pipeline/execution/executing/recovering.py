@@ -14,17 +14,19 @@ from demoplan.stages.monitor import SensedState
 class Recovery:
     """Motions that no plan asked for; each is a row as any other."""
 
-    def __init__(
-        self, hands: Hands, senses: Senses, params: ExecuteParams, new_row: Callable[[], Row]
-    ) -> None:
-        """Move with ``hands``, look with ``senses``, and write down what is done into rows of ``new_row``."""
-        self._hands, self._senses, self._params, self._new_row = hands, senses, params, new_row
+    def __init__(self, hands: Hands, senses: Senses, params: ExecuteParams) -> None:
+        """Move with ``hands``, and look with ``senses``."""
+        self._hands, self._senses, self._params = hands, senses, params
 
-    def free_a_hand(self, sensed: SensedState) -> bool:
+    def free_a_hand(self, sensed: SensedState, new_row: Callable[[], Row]) -> bool:
         """A hand that holds something lays it down, a closed one opens; whether that changed anything.
 
         Learned operators put things where they were shown to be put, and none begins with an object in the
         air or an empty fist.
+
+        Args:
+            sensed: What is perceived now.
+            new_row: Where each motion is written down.
         """
         for hand in self._hands.session.hands:
             held = sorted(
@@ -36,19 +38,19 @@ class Recovery:
             if len(held) > 1 or (not held and is_open):
                 continue
             if held:
-                self.move(hand, Motion(activity="Put", skill="carry", object=held[0], support=TABLE))
-            self.open(hand, held[0] if held else None)
+                put = Motion(activity="Put", skill="carry", object=held[0], support=TABLE)
+                self.move(hand, put, new_row())
+            self.open(hand, new_row(), held[0] if held else None)
             self._hands.advance(self._params.lag_s)
             return self._senses.look().held != sensed.held
         return False
 
-    def open(self, hand: str, thing: str | None = None) -> None:
+    def open(self, hand: str, row: Row, thing: str | None = None) -> None:
         """Open a hand, of which it is known or not what it holds."""
-        self.move(hand, Motion(activity="Release", skill="release", object=thing))
+        self.move(hand, Motion(activity="Release", skill="release", object=thing), row)
 
-    def move(self, hand: str, motion: Motion) -> None:
-        """Make a motion, to its end."""
-        row = self._new_row()
+    def move(self, hand: str, motion: Motion, row: Row) -> None:
+        """Make a motion, to its end, and write it down."""
         row |= {
             "operator": f"recover_{motion.skill}",
             "arguments": [hand, *([motion.object] if motion.object else [])],
