@@ -94,8 +94,8 @@ class SimulatedSession:
         self.checker = Checker(
             self.model, {name: (self._joints[name], self._geoms[name]) for name in scene.names}, self._arms
         )
-        # Hands know their session weakly. In a circle its models, with TIAGo 75 MB that Python's collector does
-        # not count, would stay until the collector happens to come by: dozens of runs later.
+        # Hands know their session weakly. In a circle its models (with TIAGo, 75 MB that Python's collector
+        # does not count) would stay until the collector happens to come by: dozens of runs later.
         around = weakref.proxy(self)
         self._controls = {hand: ArmControl(arm, around, params.skills) for hand, arm in self._arms.items()}
         weakref.finalize(self, _abandon, tuple(self._controls.values())).atexit = False
