@@ -3,7 +3,7 @@
 Run, after ``demoplan run datasets/cube-stacking --store STORE``:
 
     PYTHONPATH=src python benchmarks/execution.py STORE [--robot gripper] [--seeds 10] [--first-seed 100]
-        [--faults datasets/cube-stacking/faults.yaml] [--goals FILE] [--only GOAL …] [--workers 2]
+        [--faults datasets/cube-stacking/faults.yaml] [--goals FILE] [--only GOAL …] [--workers 2] [--memory]
 
 Without ``--faults``, the study: every single-demonstration domain and the combined one on every goal. With
 it, the combined domain under every fault, watched by each monitor: the full one, conditions at dispatch only
@@ -13,11 +13,18 @@ on, and more seeds cost only themselves.
 Whether one can recover is decided for each case without any monitor, so all have the same denominators; it is
 checked here that the fault of a case happened at the same instant whoever watched. Shares are given with 95 %
 Wilson intervals. Wall times are of runs as they were made; on a busy machine they say little.
+
+With ``--memory``, all runs of the combined domain are made anew in one process, as a worker of ``demoplan
+evaluate`` makes them, and its largest resident memory so far is printed: a process that gives back what a run
+took stays level.
 """
 
 import argparse
+import resource
 import statistics
+import tempfile
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import polars as pl
@@ -26,7 +33,7 @@ from demoplan.manifests.faults import read_faults
 from demoplan.manifests.goals import read_goals
 from demoplan.pipeline.datasets import recall
 from demoplan.pipeline.domains.learning import stored_domain
-from demoplan.pipeline.execution.evaluate import RUN_STAGE, evaluate, jobs_of
+from demoplan.pipeline.execution.evaluate import RUN_STAGE, evaluate, jobs_of, run_job
 from demoplan.pipeline.execution.execute import MONITORS
 from demoplan.stages.score_runs import fault_confusion, score_runs
 from demoplan.store import Store
@@ -108,6 +115,20 @@ def faults(runs):
         print(f"  missed: {row['goal']}, {row['fault']}, seed {row['seed']}: {row['outcome']}: {reason}")
 
 
+def memory(jobs):
+    """Print how much memory a process has taken after so many runs."""
+    print("| runs | largest resident memory so far, MB |")
+    print("| --- | --- |")
+    shown = {0, 1, 2, 5, 10, 30, 60, len(jobs), *range(100, len(jobs), 100)}
+    with tempfile.TemporaryDirectory() as folder:
+        for n, job in enumerate([None, *jobs]):
+            if job is not None:
+                run_job(replace(job, store=folder))
+            if n in shown:
+                peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+                print(f"| {n} | {peak:.0f} |", flush=True)
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("store", type=Path)
@@ -121,10 +142,15 @@ def main():
     parser.add_argument("--fault", nargs="+", help="names of faults")
     parser.add_argument("--monitors", nargs="+", choices=MONITORS, default=MONITORS)
     parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--memory", action="store_true", help="runs in one process, and what it grows to")
     chosen = parser.parse_args()
     store = Store(chosen.store)
     names = sorted({version.name for version in store.domains.versions()})
-    wanted = [chosen.dataset] if chosen.faults else [n for n in names if n.startswith(chosen.dataset)]
+    wanted = (
+        [chosen.dataset]
+        if chosen.faults or chosen.memory
+        else [n for n in names if n.startswith(chosen.dataset)]
+    )
     goals = [goal for goal in read_goals(chosen.goals) if not chosen.only or goal.name in chosen.only]
     injected = read_faults(chosen.faults) if chosen.faults else ()
     jobs = jobs_of(
@@ -138,6 +164,9 @@ def main():
         monitors=chosen.monitors if chosen.faults else ("full",),
         folder=chosen.goals.parent,
     )
+    if chosen.memory:
+        memory(jobs)
+        return
     n_stored = sum(store.is_current(RUN_STAGE, *job.key()) for job in jobs)
     begin = time.perf_counter()
     runs = evaluate(jobs, n_workers=chosen.workers).runs
