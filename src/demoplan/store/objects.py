@@ -1,9 +1,12 @@
 """Tables as Parquet, named by the hash of their bytes."""
 
+import contextlib
 import functools
 import hashlib
-from collections.abc import Sequence
+import itertools
+from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any, TypeVar
 
@@ -23,12 +26,30 @@ from demoplan.tables.validating import are_rows_valid, is_typed, validated
 TABLE_FORMAT = "1"
 """Version of the form in which tables are written; a reader refuses a newer one."""
 
+ROWS_AT_ONCE = 1 << 20
+"""Rows of a table that are written as one group; a longer table can be written and read in parts."""
+
+ROWS_IN_PART = 1 << 17
+"""Rows of a long table that are read at once."""
+
 _REQUESTS = 16
 """Tables of a bucket that are asked for at once."""
 
 _FORMAT, _VERSION = b"demoplan.table_format", b"demoplan.table_version"
 
 Table = TypeVar("Table", bound=dy.Schema)
+
+
+@dataclass(frozen=True, eq=False)
+class Draft:
+    """A table that is written and has no name yet."""
+
+    path: Path
+    content: ContentHash
+
+    def parts(self, schema: type[Table]) -> Iterator[dy.DataFrame[Table]]:
+        """The rows, some at a time."""
+        return parts_of(self.path, schema)
 
 
 class ObjectStore:
@@ -73,17 +94,29 @@ class ObjectStore:
         names = self._place.names(self.folder)
         return {PurePosixPath(name).stem for name in names if name.endswith(".parquet")}
 
-    def put(self, table: pl.DataFrame, schema: type[dy.Schema]) -> ContentHash:
+    def put(self, table: pl.DataFrame | Draft, schema: type[dy.Schema]) -> ContentHash:
         """Write a table, and give back the hash of its bytes. Equal tables give equal bytes, written once.
 
         Stages hold what they give to its declaration, so only the columns and their types are looked at
         here; a table that differs in these is cast, and all its rules are checked.
         """
+        if isinstance(table, Draft):
+            self._place.settle(table.path, self.name_of(table.content))
+            return table.content
         # Its name is not known before it is written; held in memory, it would cost more than it does on disk.
         with self._place.draft(".parquet") as draft:
             content = write_table(table, schema, draft)
             self._place.settle(draft, self.name_of(content))
         return content
+
+    @contextlib.contextmanager
+    def drafted(self, parts: Iterable[pl.DataFrame], schema: type[dy.Schema]) -> Iterator[Draft]:
+        """Write a table whose rows come in parts; it is there when it is ``put`` before the block ends.
+
+        The bytes are those of the parts put as one table. At most a group of rows, and a part, is held.
+        """
+        with self._place.draft(".parquet") as path:
+            yield Draft(path, write_parts(parts, schema, path))
 
     def get(self, content: ContentHash, schema: type[Table]) -> dy.DataFrame[Table]:
         """Read a table back.
@@ -98,6 +131,41 @@ class ObjectStore:
             table = pl.DataFrame(found)
             where = f"{self._place.location}: {content} in a shard"
             return read_as_declared(table, found.schema.metadata or {}, schema, where)
+
+    def parts(self, content: ContentHash, schema: type[Table]) -> Iterator[dy.DataFrame[Table]]:
+        """Read a table back, some rows at a time, each part held to its declaration.
+
+        Raises:
+            StoreError: If it is not there, is not Parquet, or was written in a newer form.
+        """
+        path = self._place.path(self.name_of(content))
+        if path is None or not _is_of_today(path, schema):
+            yield self.get(content, schema)
+        else:
+            yield from parts_of(path, schema)
+
+    def n_rows(self, content: ContentHash) -> int | None:
+        """How many rows a table has, as its file says; null if it is no file of this machine."""
+        path = self._place.path(self.name_of(content))
+        try:
+            return None if path is None else int(pq.read_metadata(path).num_rows)
+        except (OSError, pa.ArrowException):
+            return None
+
+    def extent(self, content: ContentHash, column: str) -> tuple[int, int] | None:
+        """Least and greatest whole number in a column, as its file says; null if that does not say."""
+        path = self._place.path(self.name_of(content))
+        try:
+            found = None if path is None else pq.read_metadata(path)
+        except (OSError, pa.ArrowException):
+            return None
+        if found is None or not found.num_rows:
+            return None
+        index = found.schema.names.index(column)
+        stated = [found.row_group(group).column(index).statistics for group in range(found.num_row_groups)]
+        if not all(each is not None and each.has_min_max for each in stated):
+            return None
+        return min(each.min for each in stated), max(each.max for each in stated)
 
     def joined(self, contents: Sequence[ContentHash], schema: type[Table]) -> pl.DataFrame:
         """Tables one below the other, read at once where that can be: small ones take a tenth of the time.
@@ -120,13 +188,8 @@ class ObjectStore:
         """None if one of the tables is not a file of today's form: then each is to be read by itself."""
         paths = [self._place.path(self.name_of(content)) for content in contents]
         files = [path for path in paths if path is not None]
-        today = str(version_of(schema.__name__)).encode()
         try:
-            for path in files:
-                found = pq.read_schema(path).metadata or {}
-                if (found.get(_FORMAT), found.get(_VERSION, b"1")) != (TABLE_FORMAT.encode(), today):
-                    return None
-            if len(files) < len(contents):
+            if not all(_is_of_today(path, schema) for path in files) or len(files) < len(contents):
                 return None
             table = pl.read_parquet(files, use_pyarrow=False, glob=False)
         except (OSError, pa.ArrowException, pl.exceptions.PolarsError):
@@ -144,12 +207,63 @@ class ObjectStore:
 
 def write_table(table: pl.DataFrame, schema: type[dy.Schema], path: Path) -> ContentHash:
     """Write a table into a local file, and give back the hash of its bytes."""
-    typed = table if is_typed(table, schema) else validated(table, schema)
-    described = _described(typed.to_arrow(compat_level=pl.CompatLevel.oldest()), schema)
     with pa.OSFile(str(path), "wb") as sink:
-        pq.write_table(described, sink, row_group_size=1 << 20, **_encodings(schema))
+        pq.write_table(_to_arrow(table, schema), sink, row_group_size=ROWS_AT_ONCE, **_encodings(schema))
+    return _hash_of(path)
+
+
+def write_parts(
+    parts: Iterable[pl.DataFrame], schema: type[dy.Schema], path: Path, rows_at_once: int = ROWS_AT_ONCE
+) -> ContentHash:
+    """Write a table whose rows come in parts: the same bytes as :func:`write_table` of all of them."""
+    with (
+        pa.OSFile(str(path), "wb") as sink,
+        pq.ParquetWriter(
+            sink, _to_arrow(schema.create_empty(), schema).schema, **_encodings(schema)
+        ) as writer,
+    ):
+        waiting = [_to_arrow(schema.create_empty(), schema)]
+        n_waiting = n_written = 0
+        for part in parts:
+            waiting.append(_to_arrow(part, schema))
+            n_waiting += len(part)
+            while n_waiting >= rows_at_once:
+                table = pa.concat_tables(waiting)
+                writer.write_table(table.slice(0, rows_at_once), row_group_size=rows_at_once)
+                waiting, n_waiting = [table.slice(rows_at_once)], n_waiting - rows_at_once
+                n_written += rows_at_once
+                del table
+        # A table without rows has one group without rows.
+        if n_waiting or not n_written:
+            writer.write_table(pa.concat_tables(waiting), row_group_size=rows_at_once)
+    return _hash_of(path)
+
+
+def _to_arrow(table: pl.DataFrame, schema: type[dy.Schema]) -> pa.Table:
+    typed = table if is_typed(table, schema) else validated(table, schema)
+    return _described(typed.to_arrow(compat_level=pl.CompatLevel.oldest()), schema)
+
+
+def _hash_of(path: Path) -> ContentHash:
     with path.open("rb", buffering=0) as file:
         return ContentHash(hashlib.file_digest(file, "sha256").hexdigest())
+
+
+def parts_of(path: Path, schema: type[Table], n_rows: int = ROWS_IN_PART) -> Iterator[dy.DataFrame[Table]]:
+    """The rows of a file of today's form, so many at a time, each part held to its declaration."""
+    table = pl.scan_parquet(path, glob=False)
+    for start in itertools.count(0, n_rows):
+        part = table.slice(start, n_rows).collect()
+        if not len(part):
+            return
+        yield validated(part, schema)
+
+
+def _is_of_today(path: Path, schema: type[dy.Schema]) -> bool:
+    """Whether a file holds a table in the form in which it would be written now."""
+    found = pq.read_schema(path).metadata or {}
+    today = (TABLE_FORMAT.encode(), str(version_of(schema.__name__)).encode())
+    return (found.get(_FORMAT), found.get(_VERSION, b"1")) == today
 
 
 def read_table(place: Place, name: str, schema: type[Table]) -> dy.DataFrame[Table]:
@@ -203,8 +317,7 @@ def read_as_declared(
 
 @functools.cache
 def _encodings(schema: type[dy.Schema]) -> dict[str, Any]:
-    empty = schema.create_empty().to_arrow(compat_level=pl.CompatLevel.oldest())
-    return encodings_of(_described(empty, schema).schema)
+    return encodings_of(_to_arrow(schema.create_empty(), schema).schema)
 
 
 @functools.cache

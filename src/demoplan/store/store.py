@@ -15,7 +15,7 @@ from demoplan.ids import ContentHash
 from demoplan.store.domains import DomainStore
 from demoplan.store.index import Index
 from demoplan.store.manifest import Manifest
-from demoplan.store.objects import ObjectStore, Table
+from demoplan.store.objects import Draft, ObjectStore, Table
 from demoplan.store.opening import open_place
 from demoplan.store.records import Packs, Record, RecordStore, schema_version, stage_key
 from demoplan.store.shards import Shards
@@ -30,7 +30,7 @@ SWEEP = "sweep"
 class StageOutput:
     """What a stage's function gives back: tables by name, with their declarations, and notes."""
 
-    tables: Mapping[str, tuple[pl.DataFrame, type[dy.Schema]]]
+    tables: Mapping[str, tuple[pl.DataFrame | Draft, type[dy.Schema]]]
     notes: Mapping[str, str] = field(default_factory=dict)
 
 
