@@ -247,3 +247,13 @@ def test_the_manifest_is_written_rarely_however_many_episodes_end(tmp_path):
             ledger.note(None)
             time.sleep(0.001)
     assert 1 <= Slow.n <= 4
+
+
+def test_a_long_log_is_ingested_part_by_part_with_the_same_tables(opened, one_by_one, tmp_path, monkeypatch):
+    monkeypatch.setattr(episode_stages, "LONG_ROWS", 1000)
+    store = Store(tmp_path)
+    states = [ingest.ingest_episode(job) for job in jobs_of(opened, store)]
+    for state, whole in zip(states, one_by_one, strict=True):
+        assert state.status == whole.status
+        assert state.keys.items() <= whole.keys.items()
+        assert state.tables.items() <= whole.tables.items()

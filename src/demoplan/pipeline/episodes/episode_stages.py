@@ -1,28 +1,33 @@
 """The stages of ingesting one episode, and whether what they gave still stands."""
 
+import contextlib
 import json
-from collections.abc import Callable, Iterator, Sequence
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import TypeAlias
 
 import dataframely as dy
 import polars as pl
 
 from demoplan.errors import DataError, LogError
+from demoplan.ids import ContentHash
 from demoplan.language.vocabulary import Vocabulary
-from demoplan.logs import fingerprint, open_log
+from demoplan.logs import SampleStream, fingerprint, open_log
 from demoplan.manifests.dataset import Episode
 from demoplan.manifests.labels import activities_of_labels
 from demoplan.manifests.mapping import Mapping
 from demoplan.pipeline.datasets import OpenDataset
-from demoplan.pipeline.episodes.plausibility import refuse_implausible
+from demoplan.pipeline.episodes.memory import give_memory_back
+from demoplan.pipeline.episodes.plausibility import are_within, refuse_empty, refuse_implausible, refuse_units
 from demoplan.pipeline.episodes.seen import settled_signature, signature_of
-from demoplan.stages.align import AlignParams, align
+from demoplan.stages.align import AlignParams, align, align_parts
 from demoplan.stages.perceive import PerceiveParams, perceive
 from demoplan.store import EpisodeState, Store, stage_key
 from demoplan.store.code_version import code_version
 from demoplan.store.index import Index
-from demoplan.store.objects import Table
+from demoplan.store.objects import ROWS_AT_ONCE, Draft, Table
 from demoplan.store.store import StageOutput, canonical_json
 from demoplan.tables import Activities, Facts, Frames, Samples, Topics
 
@@ -41,6 +46,9 @@ MODULES = {
     "labels": ("demoplan.manifests.labels",),
 }
 """What each of them is made of, as far as it makes output stale."""
+
+LONG_ROWS = ROWS_AT_ONCE
+"""A table with more rows is written as it is made and read in parts: it is never in memory as a whole."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -118,8 +126,12 @@ def _texts_of(job: IngestJob) -> _Texts:
     return _TEXTS[key]
 
 
+Made: TypeAlias = dict[str, tuple[pl.DataFrame | Draft, type[dy.Schema]]]
+"""What a stage gives: its tables by name, long ones as drafts, with their declarations."""
+
+
 class EpisodeTables:
-    """The tables of one episode while its stages run: kept in memory, stored as they come."""
+    """The tables of one episode while its stages run: stored as they come, kept in memory unless long."""
 
     def __init__(self, store: Store) -> None:
         """Run stages over ``store``."""
@@ -130,6 +142,8 @@ class EpisodeTables:
         self.notes: dict[str, str] = {}
         self.attempt: str | None = None
         """Key of the stage that runs now; it stays if the stage fails."""
+        self._drafts = contextlib.ExitStack()
+        """Of the stage that runs now."""
 
     def run(
         self,
@@ -138,7 +152,7 @@ class EpisodeTables:
         modules: Sequence[str],
         inputs: dict[str, str],
         params: str,
-        make: Callable[[], dict[str, tuple[pl.DataFrame, type[dy.Schema]]]],
+        make: Callable[[], Made],
     ) -> bool:
         """Run a stage if its output is not there; say whether it was made anew.
 
@@ -149,7 +163,7 @@ class EpisodeTables:
             params: Its parameters, as canonical JSON.
             make: What gives its tables.
         """
-        made: dict[str, pl.DataFrame] = {}
+        made: dict[str, pl.DataFrame | Draft] = {}
 
         def work() -> StageOutput:
             tables = make()
@@ -158,13 +172,17 @@ class EpisodeTables:
 
         version = code_version(*modules)
         self.attempt = str(stage_key(stage, inputs, params, version))
-        record = self.store.run(stage, inputs, params, version, work)
+        with contextlib.ExitStack() as self._drafts:
+            record = self.store.run(stage, inputs, params, version, work)
         self.attempt = None
         self.contents |= record.outputs
         self.keys[stage] = str(record.key)
         self.notes |= record.notes
         for name, table in made.items():
-            self._memory[record.outputs[name]] = table
+            if isinstance(table, Draft):
+                give_memory_back()
+            else:
+                self._memory[record.outputs[name]] = table
         return bool(made)
 
     def get(self, name: str, schema: type[Table]) -> dy.DataFrame[Table]:
@@ -173,6 +191,22 @@ class EpisodeTables:
         if content in self._memory:
             return self._memory[content]  # type: ignore[return-value]
         return self.store.get(content, schema)
+
+    def drafted(self, parts: Iterable[pl.DataFrame], schema: type[dy.Schema]) -> Draft:
+        """Write a long table of the stage that runs now, part by part."""
+        return self._drafts.enter_context(self.store.objects.drafted(parts, schema))
+
+    def is_long(self, name: str) -> bool:
+        """Whether a table is not to be had as a whole."""
+        content = ContentHash(self.contents[name])
+        if content in self._memory:
+            return False
+        n_rows = self.store.objects.n_rows(content)
+        return n_rows is not None and n_rows > LONG_ROWS
+
+    def parts(self, name: str, schema: type[Table]) -> Iterator[dy.DataFrame[Table]]:
+        """A long table of this episode, some rows at a time."""
+        return self.store.objects.parts(ContentHash(self.contents[name]), schema)
 
 
 def log_hash(job: IngestJob) -> str:
@@ -201,12 +235,16 @@ def run_stages(job: IngestJob, tables: EpisodeTables, sha256: str) -> None:
 
 
 def _read(job: IngestJob, tables: EpisodeTables, sha256: str) -> None:
-    def make() -> dict[str, tuple[pl.DataFrame, type[dy.Schema]]]:
+    def make() -> Made:
         before = signature_of(job.log)
         stream = open_log(job.log, job.mapping, job.episode.id, definitions_root=job.definitions_root)
-        batches = [*stream.batches()]
-        samples = pl.concat(batches) if batches else Samples.create_empty()
-        refuse_implausible(Samples.cast(samples), stream.topics, job.mapping)
+        batches = stream.batches()
+        held = _up_to(batches, LONG_ROWS)
+        if sum(map(len, held)) > LONG_ROWS:
+            samples: pl.DataFrame | Draft = _read_long(job, tables, _flowing(held, batches), stream)
+        else:
+            samples = pl.concat(held) if held else Samples.create_empty()
+            refuse_implausible(Samples.cast(samples), stream.topics, job.mapping)
         _require_unchanged(job, before, sha256)
         tables.notes |= {"status": stream.status, "reason": stream.reason or ""}
         return {"samples": (samples, Samples), "topics": (stream.topics, Topics)}
@@ -218,6 +256,53 @@ def _read(job: IngestJob, tables: EpisodeTables, sha256: str) -> None:
         params=_texts_of(job).read(job.episode.id),
         make=make,
     )
+
+
+def _up_to(batches: Iterable[dy.DataFrame[Samples]], n_rows: int) -> deque[dy.DataFrame[Samples]]:
+    """Batches until there are more rows than that, or no more batches."""
+    held: deque[dy.DataFrame[Samples]] = deque()
+    n_held = 0
+    for batch in batches:
+        held.append(batch)
+        n_held += len(batch)
+        if n_held > n_rows:
+            break
+    return held
+
+
+def _flowing(
+    held: deque[dy.DataFrame[Samples]], batches: Iterable[dy.DataFrame[Samples]]
+) -> Iterator[dy.DataFrame[Samples]]:
+    """What is held, which is let go of one by one, and what comes after it."""
+    while held:
+        yield held.popleft()
+    yield from batches
+
+
+def _read_long(
+    job: IngestJob,
+    tables: EpisodeTables,
+    batches: Iterable[dy.DataFrame[Samples]],
+    stream: SampleStream,
+) -> Draft:
+    """Samples of a long log, written while they are read.
+
+    Raises:
+        DataError: If they are implausible.
+    """
+    is_within = True
+
+    def watched() -> Iterator[pl.DataFrame]:
+        nonlocal is_within
+        for batch in batches:
+            is_within &= are_within(batch)
+            yield batch
+
+    samples = tables.drafted(watched(), Samples)
+    refuse_empty(stream.topics, job.mapping)
+    if not is_within:
+        refuse_units(samples.parts(Samples), job.mapping)
+    return samples
 
 
 class ChangedLogError(LogError):
@@ -238,14 +323,20 @@ def _require_unchanged(job: IngestJob, before: str, sha256: str) -> None:
 
 def _align(job: IngestJob, tables: EpisodeTables) -> None:
     texts = _texts_of(job)
+
+    def make() -> Made:
+        if not tables.is_long("samples"):
+            samples = tables.get("samples", Samples)
+            return {"frames": (align(samples, job.mapping, texts.align_params), Frames)}
+        parts = align_parts(tables.parts("samples", Samples), job.mapping, texts.align_params)
+        return {"frames": (tables.drafted(parts, Frames), Frames)}
+
     tables.run(
         "align",
         modules=MODULES["align"],
         inputs={"samples": tables.contents["samples"]},
         params=texts.align,
-        make=lambda: {
-            "frames": (align(tables.get("samples", Samples), job.mapping, texts.align_params), Frames)
-        },
+        make=make,
     )
 
 

@@ -170,6 +170,10 @@ def _stored_row(store: Store, row: Mapping[str, object]) -> str:
 def _extent(tables: EpisodeTables) -> tuple[int | None, int | None]:
     if "frames" not in tables.contents:
         return None, None
+    if tables.is_long("frames"):
+        stated = tables.store.objects.extent(ContentHash(tables.contents["frames"]), "tick_ns")
+        if stated is not None:
+            return stated
     ticks = tables.get("frames", Frames)["tick_ns"]
     return (int(ticks.min()), int(ticks.max())) if len(ticks) else (None, None)  # type: ignore[arg-type]
 

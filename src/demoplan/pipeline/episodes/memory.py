@@ -3,6 +3,7 @@
 import ctypes
 import functools
 import sys
+from typing import Any
 
 import pyarrow as pa
 
@@ -30,9 +31,7 @@ def keep_memory() -> bool:
     Returns:
         Whether the settings were taken.
     """
-    if not sys.platform.startswith("linux"):
-        return False
-    mallopt = getattr(ctypes.CDLL(None), "mallopt", None)
+    mallopt = _of_libc("mallopt")
     if mallopt is None:
         return False
     settings = {
@@ -44,3 +43,20 @@ def keep_memory() -> bool:
     if is_taken:
         pa.set_memory_pool(pa.system_memory_pool())
     return is_taken
+
+
+def give_memory_back() -> bool:
+    """Give all freed memory back to the system: what a long episode needed, the next stage may not.
+
+    Source: malloc_trim(3), Linux man-pages.
+
+    Returns:
+        Whether there was any that could be given back.
+    """
+    trim = _of_libc("malloc_trim")
+    return trim is not None and bool(trim(0))
+
+
+def _of_libc(name: str) -> Any:
+    """A function that glibc has, or None."""
+    return getattr(ctypes.CDLL(None), name, None) if sys.platform.startswith("linux") else None

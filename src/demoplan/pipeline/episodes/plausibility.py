@@ -1,5 +1,6 @@
 """What was read of a log, held against what a mapping promises: an error now, instead of silence later."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import dataframely as dy
@@ -38,11 +39,17 @@ def refuse_implausible(
     Raises:
         DataError: If so; it says which topic, what was found, and what to change.
     """
-    _refuse_empty(topics, mapping)
-    _refuse_units(samples, mapping, params)
+    refuse_empty(topics, mapping)
+    if not are_within(samples, params):
+        refuse_units([samples], mapping, params)
 
 
-def _refuse_empty(topics: dy.DataFrame[Topics], mapping: Mapping) -> None:
+def refuse_empty(topics: dy.DataFrame[Topics], mapping: Mapping) -> None:
+    """Raise if a required topic gave nothing.
+
+    Raises:
+        DataError: If so.
+    """
     required = {label.split("#")[0] for label, topic in mapping.topics.items() if topic.required}
     silent = topics.filter(
         pl.col("topic").is_in(sorted(required)) & (pl.col("n_messages") > 0) & (pl.col("n_rows") == 0)
@@ -55,16 +62,31 @@ def _refuse_empty(topics: dy.DataFrame[Topics], mapping: Mapping) -> None:
         )
 
 
-def _refuse_units(samples: dy.DataFrame[Samples], mapping: Mapping, params: PlausibilityParams) -> None:
-    if _is_within(samples, params):
-        return
+def refuse_units(
+    parts: Iterable[dy.DataFrame[Samples]],
+    mapping: Mapping,
+    params: PlausibilityParams = PlausibilityParams(),
+) -> None:
+    """Raise if the positions of a body cannot be in the unit that the mapping states.
+
+    Args:
+        parts: The samples, some rows at a time.
+        mapping: What was expected.
+        params: Limits.
+
+    Raises:
+        DataError: If so.
+    """
     entities = set(mapping.entities)
-    furthest = (
-        samples.filter(pl.col("is_tracked") & pl.col("position_xyz_m").is_not_null() & ~pl.col("is_static"))
-        .group_by("topic", "entity", "kind", maintain_order=True)
+    body = ("topic", "entity", "kind")
+    furthest = pl.concat(
+        part.filter(pl.col("is_tracked") & pl.col("position_xyz_m").is_not_null() & ~pl.col("is_static"))
+        .group_by(body, maintain_order=True)
         .agg(pl.col("position_xyz_m").arr.eval(pl.element().abs()).arr.max().max().alias("far"))
+        for part in parts
     )
-    for row in furthest.iter_rows(named=True):
+    of_bodies = furthest.group_by(body, maintain_order=True).agg(pl.col("far").max())
+    for row in of_bodies.iter_rows(named=True):
         if row["kind"] == "transform" and row["entity"] not in entities:
             continue
         if row["far"] > params.reach_m:
@@ -81,7 +103,7 @@ def _refuse_units(samples: dy.DataFrame[Samples], mapping: Mapping, params: Plau
             )
 
 
-def _is_within(samples: dy.DataFrame[Samples], params: PlausibilityParams) -> bool:
+def are_within(samples: dy.DataFrame[Samples], params: PlausibilityParams = PlausibilityParams()) -> bool:
     """Whether no reading is too far away, and no pose too near the origin: then no body is, either.
 
     This takes a fraction of looking at each body by itself.
