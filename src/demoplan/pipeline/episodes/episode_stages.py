@@ -23,7 +23,7 @@ from demoplan.pipeline.episodes.memory import give_memory_back
 from demoplan.pipeline.episodes.plausibility import are_within, refuse_empty, refuse_implausible, refuse_units
 from demoplan.pipeline.episodes.seen import settled_signature, signature_of
 from demoplan.stages.align import AlignParams, align, align_parts
-from demoplan.stages.perceive import PerceiveParams, perceive
+from demoplan.stages.perceive import PerceiveParams, perceive, perceive_parts
 from demoplan.store import EpisodeState, Store, stage_key
 from demoplan.store.code_version import code_version
 from demoplan.store.index import Index
@@ -342,19 +342,21 @@ def _align(job: IngestJob, tables: EpisodeTables) -> None:
 
 def _perceive(job: IngestJob, tables: EpisodeTables) -> None:
     texts = _texts_of(job)
+
+    def make() -> Made:
+        known = job.mapping.entities, job.vocabulary, texts.perceive_params
+        if not tables.is_long("frames"):
+            return {"facts": (perceive(tables.get("frames", Frames), *known), Facts)}
+        facts = perceive_parts(tables.parts("frames", Frames), *known)
+        give_memory_back()
+        return {"facts": (facts, Facts)}
+
     tables.run(
         "perceive",
         modules=MODULES["perceive"],
         inputs={"frames": tables.contents["frames"]},
         params=texts.perceive,
-        make=lambda: {
-            "facts": (
-                perceive(
-                    tables.get("frames", Frames), job.mapping.entities, job.vocabulary, texts.perceive_params
-                ),
-                Facts,
-            )
-        },
+        make=make,
     )
 
 

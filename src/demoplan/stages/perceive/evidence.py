@@ -37,6 +37,11 @@ class Known:
     """State ``(n,)`` of each grounding."""
     n_ticks: int
 
+    def during(self, ticks: slice) -> "Known":
+        """The same states at some ticks."""
+        codes = {bodies: state[ticks] for bodies, state in self.codes.items()}
+        return Known(codes, len(range(self.n_ticks)[ticks]))
+
     def state(self, *bodies: int) -> Codes:
         """State ``(n,)`` of one grounding; false where the vocabulary's types rule it out."""
         found = self.codes.get(bodies)

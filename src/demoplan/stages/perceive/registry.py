@@ -26,6 +26,8 @@ class Definition:
     """Thresholds that the vocabulary must state, with the unit in each name."""
     needs: tuple[str, ...] = ()
     """Definitions whose settled states it is derived from."""
+    is_by_tick: bool = True
+    """Whether what it says of a tick depends on poses, velocities and states at that tick alone."""
 
 
 DEFINITIONS: dict[str, Definition] = {
@@ -39,6 +41,7 @@ DEFINITIONS: dict[str, Definition] = {
     "held": Definition(
         function=holding.held,
         arity=2,
+        is_by_tick=False,
         numbers=(
             "enter_m",
             "exit_m",
