@@ -15,6 +15,9 @@ process does once (the hash of the code, compiled rules).
 The naive way reads with rosbags' ``AnyReader``, a message at a time, and decides on contact, support and
 holding with a few NumPy calls per tick and pair, as scripts do. It knows boxes only by their middles, has no
 hysteresis, no gaps, no tables and no segments: less work than demoplan does, not more.
+
+`--large` prints instead the peak memory of each stage against the length of the recording, beside what it is
+if every table is held as a whole, and how much it grows per hour.
 """
 
 import argparse
@@ -223,6 +226,89 @@ def naive(log: Path) -> dict[str, float]:
     return {"total": time.process_time() - start, "length_s": (times[-1] - times[0]) / 1e9}
 
 
+def memory(log: Path, segmenter: Path, is_whole: bool) -> dict[str, float]:
+    """Peak memory [MiB] of each stage of one ingest, and CPU seconds of all of it.
+
+    Args:
+        log: A long recording.
+        segmenter: What it is segmented with.
+        is_whole: Whether tables are held as a whole, however long.
+    """
+    from demoplan.pipeline.episodes import activities, episode_stages
+    from demoplan.pipeline.episodes.ingest import ingest_episode
+    from demoplan.store import Store
+
+    if is_whole:
+        episode_stages.LONG_ROWS = sys.maxsize
+    peaks: dict[str, float] = {}
+    run = episode_stages.EpisodeTables.run
+
+    def watched(self, stage, **options):
+        restart_peak()
+        try:
+            return run(self, stage, **options)
+        finally:
+            peaks[stage] = current_peak_mib()
+
+    episode_stages.EpisodeTables.run = watched
+    opened = opened_dataset()
+    chosen = activities.read_segmenter(segmenter)
+    episode = next(each for each in opened.dataset.episodes if each.id == EPISODES["mcap"])
+    with tempfile.TemporaryDirectory() as folder:
+        store = Store(Path(folder))
+        start = time.process_time()
+        state = ingest_episode(job_of(opened, store, episode, log))
+        assert state.status == "complete", state.reason
+        activities.segment_episodes(opened, store, [state], {state.episode_id: chosen}, is_kept=False)
+        spent_s = time.process_time() - start
+    return {stage: peaks[stage] for stage in STAGES} | {"total": spent_s, "peak_mib": max(peaks.values())}
+
+
+def restart_peak() -> None:
+    """Let the system forget the largest resident memory of this process.
+
+    Source: proc(5), Linux man-pages, /proc/pid/clear_refs.
+    """
+    Path("/proc/self/clear_refs").write_text("5")
+
+
+def current_peak_mib() -> float:
+    """Largest resident memory of this process since ``restart_peak``."""
+    lines = Path("/proc/self/status").read_text().splitlines()
+    return next(int(line.split()[1]) for line in lines if line.startswith("VmHWM")) / 1024
+
+
+def memory_table(folder: Path, lengths_min: list[float], n_runs: int) -> None:
+    segmenter = folder / "segmenter.json"
+    if not segmenter.exists():
+        train(segmenter)
+    print("peak resident memory [MiB], one process and one thread; medians\n")
+    print("| length [min] | log [MiB] | tables | read | align | perceive | segment | peak | CPU [s] |")
+    print("| --- " * 9 + "|")
+    peaks: dict[str, list[float]] = {"in parts": [], "whole": []}
+    for minutes in lengths_min:
+        log = folder / f"long-{minutes:g}.mcap"
+        if not log.exists():
+            lengthen("mcap", log, minutes)
+        for way, found in peaks.items():
+            whole = ["--whole"] if way == "whole" else []
+            runs = [
+                child("--memory", str(log), "--segmenter", str(segmenter), *whole)[0] for _ in range(n_runs)
+            ]
+            median = {key: statistics.median(run[key] for run in runs) for key in runs[0]}
+            found.append(median["peak_mib"])
+            stages = " | ".join(f"{median[stage]:.0f}" for stage in STAGES)
+            print(
+                f"| {minutes:g} | {log.stat().st_size / 2**20:.0f} | {way} | {stages} "
+                f"| {median['peak_mib']:.0f} | {median['total']:.1f} |",
+                flush=True,
+            )
+    if len(lengths_min) > 1:
+        hours = (lengths_min[-1] - lengths_min[-2]) / 60
+        for way, found in peaks.items():
+            print(f"\n{way}: {(found[-1] - found[-2]) / hours:.0f} MiB more per hour, between the last two")
+
+
 def peak_mib() -> float:
     """Largest resident memory of this process so far."""
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
@@ -287,6 +373,12 @@ def main() -> None:
     parser.add_argument("--minutes", type=float, default=10.0, help="length of the long recording [10]")
     parser.add_argument("--format", choices=list(EPISODES), action="append", help="only this format")
     parser.add_argument("--folder", type=Path, help="keep logs and segmenter here, and use what is there")
+    parser.add_argument("--large", action="store_true", help="memory against the length of the recording")
+    parser.add_argument(
+        "--lengths", type=float, nargs="+", default=[10.0, 20.0, 40.0, 80.0], help="for --large [min]"
+    )
+    parser.add_argument("--memory", type=Path, help=argparse.SUPPRESS)
+    parser.add_argument("--whole", action="store_true", help=argparse.SUPPRESS)
     parser.add_argument("--one", choices=list(EPISODES), help=argparse.SUPPRESS)
     parser.add_argument("--segmenter", type=Path, help=argparse.SUPPRESS)
     parser.add_argument("--log", type=Path, help=argparse.SUPPRESS)
@@ -295,6 +387,9 @@ def main() -> None:
     if options.naive:
         print(json.dumps(naive(options.naive) | {"peak_mib": peak_mib()}))
         return
+    if options.memory:
+        print(json.dumps(memory(options.memory, options.segmenter, options.whole)))
+        return
     if options.one:
         for run in measure(options.one, options.segmenter, options.log, options.runs):
             print(json.dumps(run | {"peak_mib": peak_mib()}))
@@ -302,6 +397,9 @@ def main() -> None:
     with tempfile.TemporaryDirectory(prefix="demoplan-") as temporary:
         folder = options.folder or Path(temporary)
         folder.mkdir(parents=True, exist_ok=True)
+        if options.large:
+            memory_table(folder, options.lengths, max(1, options.runs // 3))
+            return
         table(folder, options.format or list(EPISODES), options.minutes, options.runs)
 
 

@@ -65,7 +65,7 @@ def features_of(
             mean, source, window_s = context[name]
             values[index] = mean(signals.total(source), window_s, tracks.tick_s)
         else:
-            values[index] = signals[name]
+            values[index] = signals[name] if name in _ASKED_AGAIN else _SIGNALS[name](signals)
     return Features(names, np.moveaxis(values, 0, -1))
 
 
@@ -96,6 +96,19 @@ _WITH_CONTEXT = (
 )
 """Signals whose recent past and near future are features too."""
 
+_ASKED_AGAIN = frozenset(
+    (
+        *_WITH_CONTEXT,
+        "since_holding",
+        "until_holding",
+        "other_is_holding",
+        "partner_agitation",
+        "partner_to_nearest",
+        "partner_tilt",
+    )
+)
+"""Signals that others rest on: these are kept, the others would only take room."""
+
 _FAR_M = 2.0
 """Stands for 'there is none' among distances [m]: beyond any arm's reach."""
 
@@ -122,6 +135,8 @@ class _Signals:
     def total(self, name: str) -> Array:
         """A signal's sum over all ticks before each ``(h, t + 1)``, from which means over windows come."""
         if name not in self._totals:
+            # All windows over one signal come one after the other.
+            self._totals.clear()
             self._totals[name] = windows.running_total(self[name])
         return self._totals[name]
 

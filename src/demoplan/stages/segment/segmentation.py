@@ -106,8 +106,11 @@ def classify_by_model(
     n_hands, length, n_features = features.values.shape
     trees = over_columns(segmenter.trees, [available.index(name) for name in features.names])
     flat = probabilities(trees, features.values.reshape(n_hands * length, n_features))
-    share = np.maximum(flat, params.min_probability).reshape(n_hands, length, -1)
-    evidence = np.log(share / share.sum(axis=2, keepdims=True))
+    del features
+    # In place: of a long episode, each copy would be as large as all that is known of it.
+    share = np.maximum(flat, params.min_probability, out=flat).reshape(n_hands, length, -1)
+    share /= share.sum(axis=2, keepdims=True)
+    evidence = np.log(share, out=share)
     if not params.is_decoded:
         return evidence.argmax(axis=2), evidence
     weight = min(1.0, tracks.tick_s / params.evidence_s)
