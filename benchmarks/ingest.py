@@ -136,12 +136,13 @@ def job_of(opened, store, episode, log: Path | None):
 def measure(log_format: str, segmenter: Path, log: Path | None, n_runs: int) -> Iterator[dict[str, float]]:
     """CPU seconds by stage, of several runs into empty stores."""
     from demoplan.pipeline.episodes import activities, ingest
+    from demoplan.pipeline.episodes.episode_tables import EpisodeTables
     from demoplan.store import Store
 
     opened = opened_dataset()
     chosen = activities.read_segmenter(segmenter)
     spent: dict[str, float] = {}
-    run = ingest.EpisodeTables.run
+    run = EpisodeTables.run
 
     def timed(self, stage, **options):
         start = time.process_time()
@@ -150,7 +151,7 @@ def measure(log_format: str, segmenter: Path, log: Path | None, n_runs: int) -> 
         finally:
             spent[stage] = spent.get(stage, 0.0) + time.process_time() - start
 
-    ingest.EpisodeTables.run = timed
+    EpisodeTables.run = timed
     episodes = {episode.id: episode for episode in opened.dataset.episodes}
 
     def whole(name: str, path: Path | None) -> dict[str, float]:
@@ -234,14 +235,15 @@ def memory(log: Path, segmenter: Path, is_whole: bool) -> dict[str, float]:
         segmenter: What it is segmented with.
         is_whole: Whether tables are held as a whole, however long.
     """
-    from demoplan.pipeline.episodes import activities, episode_stages
+    from demoplan.pipeline.episodes import activities
+    from demoplan.pipeline.episodes.episode_tables import EpisodeTables
     from demoplan.pipeline.episodes.ingest import ingest_episode
     from demoplan.store import Store
 
     if is_whole:
-        episode_stages.LONG_ROWS = sys.maxsize
+        EpisodeTables.long_rows = sys.maxsize
     peaks: dict[str, float] = {}
-    run = episode_stages.EpisodeTables.run
+    run = EpisodeTables.run
 
     def watched(self, stage, **options):
         restart_peak()
@@ -250,7 +252,7 @@ def memory(log: Path, segmenter: Path, is_whole: bool) -> dict[str, float]:
         finally:
             peaks[stage] = current_peak_mib()
 
-    episode_stages.EpisodeTables.run = watched
+    EpisodeTables.run = watched
     opened = opened_dataset()
     chosen = activities.read_segmenter(segmenter)
     episode = next(each for each in opened.dataset.episodes if each.id == EPISODES["mcap"])

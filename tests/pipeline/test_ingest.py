@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from demoplan.ids import ContentHash
 from demoplan.pipeline.datasets import open_dataset
 from demoplan.pipeline.episodes import activities, episode_stages, ingest, seen
+from demoplan.pipeline.episodes.episode_tables import EpisodeTables
 from demoplan.pipeline.episodes.segment_stages import CONTRAST
 from demoplan.stages.contrast import contrast
 from demoplan.store import Store
@@ -250,7 +251,7 @@ def test_the_manifest_is_written_rarely_however_many_episodes_end(tmp_path):
 
 
 def test_a_long_log_is_ingested_part_by_part_with_the_same_tables(opened, one_by_one, tmp_path, monkeypatch):
-    monkeypatch.setattr(episode_stages, "LONG_ROWS", 1000)
+    monkeypatch.setattr(EpisodeTables, "long_rows", 1000)
     store = Store(tmp_path)
     states = [ingest.ingest_episode(job) for job in jobs_of(opened, store)]
     for state, whole in zip(states, one_by_one, strict=True):

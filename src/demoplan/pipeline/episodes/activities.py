@@ -14,7 +14,7 @@ from demoplan.ids import ContentHash, content_hash
 from demoplan.manifests.loading import read_text
 from demoplan.pipeline.crews import Crew, Processes
 from demoplan.pipeline.datasets import OpenDataset
-from demoplan.pipeline.episodes.episode_stages import EpisodeTables
+from demoplan.pipeline.episodes.episode_tables import EpisodeTables
 from demoplan.pipeline.episodes.ingest import MOST_IN_GROUP, Ledger, ingest_dataset
 from demoplan.pipeline.episodes.memory import keep_memory
 from demoplan.pipeline.episodes.orders import keep_setting, setting_of, setting_of_dataset, types_of_entities

@@ -1,24 +1,22 @@
 """The stages of ingesting one episode, and whether what they gave still stands."""
 
-import contextlib
 import json
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TypeAlias
 
 import dataframely as dy
 import polars as pl
 
 from demoplan.errors import DataError, LogError
-from demoplan.ids import ContentHash
 from demoplan.language.vocabulary import Vocabulary
 from demoplan.logs import SampleStream, fingerprint, open_log
 from demoplan.manifests.dataset import Episode
 from demoplan.manifests.labels import activities_of_labels
 from demoplan.manifests.mapping import Mapping
 from demoplan.pipeline.datasets import OpenDataset
+from demoplan.pipeline.episodes.episode_tables import EpisodeTables, Made
 from demoplan.pipeline.episodes.memory import give_memory_back
 from demoplan.pipeline.episodes.plausibility import are_within, refuse_empty, refuse_implausible, refuse_units
 from demoplan.pipeline.episodes.seen import settled_signature, signature_of
@@ -27,8 +25,8 @@ from demoplan.stages.perceive import PerceiveParams, perceive, perceive_parts
 from demoplan.store import EpisodeState, Store, stage_key
 from demoplan.store.code_version import code_version
 from demoplan.store.index import Index
-from demoplan.store.objects import ROWS_AT_ONCE, Draft, Table
-from demoplan.store.store import StageOutput, canonical_json
+from demoplan.store.objects import Draft
+from demoplan.store.store import canonical_json
 from demoplan.tables import Activities, Facts, Frames, Samples, Topics
 
 OUTPUTS = {
@@ -46,9 +44,6 @@ MODULES = {
     "labels": ("demoplan.manifests.labels",),
 }
 """What each of them is made of, as far as it makes output stale."""
-
-LONG_ROWS = ROWS_AT_ONCE
-"""A table with more rows is written as it is made and read in parts: it is never in memory as a whole."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -126,89 +121,6 @@ def _texts_of(job: IngestJob) -> _Texts:
     return _TEXTS[key]
 
 
-Made: TypeAlias = dict[str, tuple[pl.DataFrame | Draft, type[dy.Schema]]]
-"""What a stage gives: its tables by name, long ones as drafts, with their declarations."""
-
-
-class EpisodeTables:
-    """The tables of one episode while its stages run: stored as they come, kept in memory unless long."""
-
-    def __init__(self, store: Store) -> None:
-        """Run stages over ``store``."""
-        self.store = store
-        self._memory: dict[str, pl.DataFrame] = {}
-        self.contents: dict[str, str] = {}
-        self.keys: dict[str, str] = {}
-        self.notes: dict[str, str] = {}
-        self.attempt: str | None = None
-        """Key of the stage that runs now; it stays if the stage fails."""
-        self._drafts = contextlib.ExitStack()
-        """Of the stage that runs now."""
-
-    def run(
-        self,
-        stage: str,
-        *,
-        modules: Sequence[str],
-        inputs: dict[str, str],
-        params: str,
-        make: Callable[[], Made],
-    ) -> bool:
-        """Run a stage if its output is not there; say whether it was made anew.
-
-        Args:
-            stage: Its name.
-            modules: What it is made of.
-            inputs: Name of each input → hash of its content.
-            params: Its parameters, as canonical JSON.
-            make: What gives its tables.
-        """
-        made: dict[str, pl.DataFrame | Draft] = {}
-
-        def work() -> StageOutput:
-            tables = make()
-            made.update({name: table for name, (table, _) in tables.items()})
-            return StageOutput(tables=tables, notes=dict(self.notes))
-
-        version = code_version(*modules)
-        self.attempt = str(stage_key(stage, inputs, params, version))
-        with contextlib.ExitStack() as self._drafts:
-            record = self.store.run(stage, inputs, params, version, work)
-        self.attempt = None
-        self.contents |= record.outputs
-        self.keys[stage] = str(record.key)
-        self.notes |= record.notes
-        for name, table in made.items():
-            if isinstance(table, Draft):
-                give_memory_back()
-            else:
-                self._memory[record.outputs[name]] = table
-        return bool(made)
-
-    def get(self, name: str, schema: type[Table]) -> dy.DataFrame[Table]:
-        """A table of this episode, from memory if it was made just now."""
-        content = self.contents[name]
-        if content in self._memory:
-            return self._memory[content]  # type: ignore[return-value]
-        return self.store.get(content, schema)
-
-    def drafted(self, parts: Iterable[pl.DataFrame], schema: type[dy.Schema]) -> Draft:
-        """Write a long table of the stage that runs now, part by part."""
-        return self._drafts.enter_context(self.store.objects.drafted(parts, schema))
-
-    def is_long(self, name: str) -> bool:
-        """Whether a table is not to be had as a whole."""
-        content = ContentHash(self.contents[name])
-        if content in self._memory:
-            return False
-        n_rows = self.store.objects.n_rows(content)
-        return n_rows is not None and n_rows > LONG_ROWS
-
-    def parts(self, name: str, schema: type[Table]) -> Iterator[dy.DataFrame[Table]]:
-        """A long table of this episode, some rows at a time."""
-        return self.store.objects.parts(ContentHash(self.contents[name]), schema)
-
-
 def log_hash(job: IngestJob) -> str:
     """The hash of the bytes of a job's log.
 
@@ -239,8 +151,8 @@ def _read(job: IngestJob, tables: EpisodeTables, sha256: str) -> None:
         before = signature_of(job.log)
         stream = open_log(job.log, job.mapping, job.episode.id, definitions_root=job.definitions_root)
         batches = stream.batches()
-        held = _up_to(batches, LONG_ROWS)
-        if sum(map(len, held)) > LONG_ROWS:
+        held = _up_to(batches, tables.long_rows)
+        if sum(map(len, held)) > tables.long_rows:
             samples: pl.DataFrame | Draft = _read_long(job, tables, _flowing(held, batches), stream)
         else:
             samples = pl.concat(held) if held else Samples.create_empty()

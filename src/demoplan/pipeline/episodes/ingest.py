@@ -15,13 +15,13 @@ from demoplan.pipeline.crews import Crew, Processes
 from demoplan.pipeline.datasets import OpenDataset, remember
 from demoplan.pipeline.episodes.episode_stages import (
     ChangedLogError,
-    EpisodeTables,
     IngestJob,
     is_standing,
     jobs_of,
     log_hash,
     run_stages,
 )
+from demoplan.pipeline.episodes.episode_tables import EpisodeTables
 from demoplan.pipeline.episodes.memory import keep_memory
 from demoplan.pipeline.episodes.orders import IngestOrder, Setting, keep_setting, setting_of
 from demoplan.pipeline.episodes.seen import Seen, SeenLogs, settled_signature, signature_of

@@ -8,7 +8,7 @@ import dataframely as dy
 import polars as pl
 
 from demoplan.language.types import TypeHierarchy
-from demoplan.pipeline.episodes.episode_stages import EpisodeTables
+from demoplan.pipeline.episodes.episode_tables import EpisodeTables
 from demoplan.stages.contrast import ContrastParams, contrast
 from demoplan.stages.segment import RuleTree, Segmenter, SegmentParams, segment
 from demoplan.store import EpisodeState, stage_key

@@ -19,7 +19,8 @@ from demoplan.pipeline.episodes.activities import (
     training_of,
     usable,
 )
-from demoplan.pipeline.episodes.episode_stages import EpisodeTables, IngestJob, jobs_of, log_hash, run_stages
+from demoplan.pipeline.episodes.episode_stages import IngestJob, jobs_of, log_hash, run_stages
+from demoplan.pipeline.episodes.episode_tables import EpisodeTables
 from demoplan.pipeline.episodes.ingest import stands
 from demoplan.pipeline.episodes.seen import SeenLogs
 from demoplan.pipeline.episodes.segment_stages import ChosenSegmenter, contrast_stage, segment_stage
