@@ -42,7 +42,7 @@ def build(folder: Path, n_episodes: int) -> tuple[Path, dict[str, float]]:
     import synthetic
     from demoplan.pipeline.datasets import open_dataset
     from demoplan.pipeline.domains.learning import learn_domain
-    from demoplan.pipeline.episodes import activities, ingest
+    from demoplan.pipeline.episodes import activities, ingest, segmenters
     from demoplan.store import Store
 
     synthetic.write_dataset(folder, n_episodes, "synthetic")
@@ -57,7 +57,7 @@ def build(folder: Path, n_episodes: int) -> tuple[Path, dict[str, float]]:
     start = time.process_time()
     jobs = ingest.jobs_of(opened, store, opened.dataset.episodes)
     states = ingest.ingest(jobs, on_done=lambda _: None)
-    chosen = {state.episode_id: activities.rules() for state in states}
+    chosen = {state.episode_id: segmenters.rules() for state in states}
     states = activities.segment_episodes(opened, store, states, chosen)
     spent = time.process_time() - start
     learn_domain(store, states, opened.vocabulary, name="synthetic", dataset="synthetic")

@@ -135,12 +135,12 @@ def job_of(opened, store, episode, log: Path | None):
 
 def measure(log_format: str, segmenter: Path, log: Path | None, n_runs: int) -> Iterator[dict[str, float]]:
     """CPU seconds by stage, of several runs into empty stores."""
-    from demoplan.pipeline.episodes import activities, ingest
+    from demoplan.pipeline.episodes import activities, ingest, segmenters
     from demoplan.pipeline.episodes.episode_tables import EpisodeTables
     from demoplan.store import Store
 
     opened = opened_dataset()
-    chosen = activities.read_segmenter(segmenter)
+    chosen = segmenters.read_segmenter(segmenter)
     spent: dict[str, float] = {}
     run = EpisodeTables.run
 
@@ -235,7 +235,7 @@ def memory(log: Path, segmenter: Path, is_whole: bool) -> dict[str, float]:
         segmenter: What it is segmented with.
         is_whole: Whether tables are held as a whole, however long.
     """
-    from demoplan.pipeline.episodes import activities
+    from demoplan.pipeline.episodes import activities, segmenters
     from demoplan.pipeline.episodes.episode_tables import EpisodeTables
     from demoplan.pipeline.episodes.ingest import ingest_episode
     from demoplan.store import Store
@@ -254,7 +254,7 @@ def memory(log: Path, segmenter: Path, is_whole: bool) -> dict[str, float]:
 
     EpisodeTables.run = watched
     opened = opened_dataset()
-    chosen = activities.read_segmenter(segmenter)
+    chosen = segmenters.read_segmenter(segmenter)
     episode = next(each for each in opened.dataset.episodes if each.id == EPISODES["mcap"])
     with tempfile.TemporaryDirectory() as folder:
         store = Store(Path(folder))

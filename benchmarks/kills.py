@@ -26,8 +26,9 @@ from pathlib import Path
 
 from demoplan.pipeline.datasets import open_dataset
 from demoplan.pipeline.domains.learning import learn_domain
-from demoplan.pipeline.episodes.activities import rules, segment_episodes, usable
+from demoplan.pipeline.episodes.activities import segment_episodes
 from demoplan.pipeline.episodes.ingest import ingest, jobs_of
+from demoplan.pipeline.episodes.segmenters import rules, usable
 from demoplan.store import Store
 from demoplan.store.compacting import compact
 from demoplan.store.sweeping import sweep

@@ -119,8 +119,9 @@ def first_run(folder: Path) -> dict[str, float]:
     from demoplan.pipeline.crews import Processes
     from demoplan.pipeline.datasets import open_dataset, remember
     from demoplan.pipeline.domains.learning import learn_domain
-    from demoplan.pipeline.episodes.activities import rules, segment_episodes
+    from demoplan.pipeline.episodes.activities import segment_episodes
     from demoplan.pipeline.episodes.ingest import ingest, jobs_of
+    from demoplan.pipeline.episodes.segmenters import rules
     from demoplan.store import Store
 
     store, crew = Store(folder / "store"), MeasuringCrew(N_CORES)
@@ -223,8 +224,10 @@ def count_all(n_activities: int, way: str) -> dict[str, float]:
     import polars as pl
 
     from demoplan.pipeline.datasets import open_dataset
-    from demoplan.pipeline.episodes.activities import rules, segment_episodes, tables_of
+    from demoplan.pipeline.episodes.activities import segment_episodes
+    from demoplan.pipeline.episodes.episode_tables import tables_of
     from demoplan.pipeline.episodes.ingest import ingest, jobs_of
+    from demoplan.pipeline.episodes.segmenters import rules
     from demoplan.stages.learn import counting, learn
     from demoplan.store import Store
     from demoplan.tables import Patterns, Sightings, Transitions

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from demoplan.errors import DemoplanError
 from demoplan.pipeline.datasets import open_dataset
 from demoplan.pipeline.domains import counting
-from demoplan.pipeline.episodes import activities, ingest
+from demoplan.pipeline.episodes import activities, episode_tables, ingest, segmenters
 from demoplan.stages.learn import LearnParams, learn
 from demoplan.stages.learn.counting import count, grip_votes, ranks, sight, support_votes
 from demoplan.store import EpisodeState, Store
@@ -27,7 +27,7 @@ def shown(small_dataset, tmp_path_factory):
     jobs = ingest.jobs_of(opened, store, opened.dataset.episodes)
     states = ingest.ingest(jobs, on_done=lambda _: None)
     states = activities.segment_episodes(
-        opened, store, states, {state.episode_id: activities.rules() for state in states}
+        opened, store, states, {state.episode_id: segmenters.rules() for state in states}
     )
     whole = [store.get(state.tables["transitions"], Transitions) for state in states]
     cut = [rows.filter(pl.col("start_ns") < rows["start_ns"].quantile(0.6)) for rows in whole]
@@ -54,7 +54,7 @@ def stored(store, shown, contents):
 def at_once(store, shown, states):
     vocabulary, _ = shown
     predicates = [rule.signature for rule in vocabulary.predicates]
-    transitions = activities.tables_of(store, states, "transitions", Transitions)
+    transitions = episode_tables.tables_of(store, states, "transitions", Transitions)
     return learn(transitions, vocabulary.types, predicates)
 
 
@@ -97,7 +97,7 @@ def test_counts_do_not_depend_on_how_episodes_are_parted(course, seed, shown, tm
     call = vocabulary.types, [rule.signature for rule in vocabulary.predicates]
 
     def counted(parts):
-        tables = [activities.tables_of(store, part, "transitions", Transitions) for part in parts]
+        tables = [episode_tables.tables_of(store, part, "transitions", Transitions) for part in parts]
         grip = ranks([grip_votes(table, *call) for table in tables])
         support = ranks([support_votes(table, *call, grip) for table in tables])
         return count(pl.concat([sight(table, *call, grip, support).sightings for table in tables]))

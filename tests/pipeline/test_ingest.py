@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from demoplan.ids import ContentHash
 from demoplan.pipeline.datasets import open_dataset
-from demoplan.pipeline.episodes import activities, episode_stages, ingest, seen
+from demoplan.pipeline.episodes import activities, episode_stages, ingest, seen, segmenters
 from demoplan.pipeline.episodes.episode_tables import EpisodeTables
 from demoplan.pipeline.episodes.segment_stages import CONTRAST
 from demoplan.stages.contrast import contrast
@@ -58,7 +58,7 @@ def one_by_one(opened, tmp_path_factory):
     for number in range(len(opened.dataset.episodes)):
         store = Store(tmp_path_factory.mktemp("alone"))
         state = ingest.ingest_episode(jobs_of(opened, store)[number])
-        chosen = {state.episode_id: activities.rules()}
+        chosen = {state.episode_id: segmenters.rules()}
         states += activities.segment_episodes(opened, store, [state], chosen)
     return states
 
@@ -67,7 +67,7 @@ def one_by_one(opened, tmp_path_factory):
 def test_episodes_in_groups_give_the_bytes_that_each_gives_alone(opened, one_by_one, tmp_path, size):
     store = Store(tmp_path)
     states = ingest.ingest(jobs_of(opened, store), crew=in_groups_of(size), on_done=lambda _: None)
-    chosen = {state.episode_id: activities.rules() for state in states}
+    chosen = {state.episode_id: segmenters.rules() for state in states}
     assert activities.segment_episodes(opened, store, states, chosen) == one_by_one
     assert store.manifest.episodes() == one_by_one
 
@@ -80,7 +80,7 @@ def test_transitions_of_many_episodes_are_those_of_each(data, opened, one_by_one
         tuple(table.with_columns(episode_id=pl.lit(f"e{place}")) for table in tables_of_small[number])
         for place, number in enumerate(some)
     ]
-    entities = activities.entity_types(opened)
+    entities = segmenters.entity_types(opened)
     joined = (pl.concat([part[k] for part in parts]) for k in range(2))
     together = contrast(*(s.cast(t) for s, t in zip((Activities, Facts), joined, strict=True)), entities)
     alone = [contrast(Activities.cast(a), Facts.cast(f), entities, CONTRAST) for a, f in parts]
@@ -92,7 +92,7 @@ def tables_of_small(opened, tmp_path_factory):
     """Activities and facts of the three episodes."""
     store = Store(tmp_path_factory.mktemp("tables"))
     states = ingest.ingest(jobs_of(opened, store), on_done=lambda _: None)
-    chosen = {state.episode_id: activities.rules() for state in states}
+    chosen = {state.episode_id: segmenters.rules() for state in states}
     states = activities.segment_episodes(opened, store, states, chosen)
     return [
         (store.get(s.tables["activities"], Activities), store.get(s.tables["facts"], Facts)) for s in states
@@ -201,7 +201,7 @@ def test_two_flows_on_one_store_lose_nothing_of_each_other(opened, one_by_one, t
         store = Store(tmp_path)
         states = ingest.ingest(jobs_of(opened, store), on_done=lambda _: None)
         return activities.segment_episodes(
-            opened, store, states, {state.episode_id: activities.rules() for state in states}
+            opened, store, states, {state.episode_id: segmenters.rules() for state in states}
         )
 
     with ThreadPoolExecutor(2) as pool:

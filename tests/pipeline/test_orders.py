@@ -67,11 +67,11 @@ def test_a_setting_that_was_changed_or_is_not_there_is_refused(job, tmp_path):
 
 
 def test_segmenting_by_order_gives_what_segmenting_here_gives(job, tmp_path, monkeypatch):
-    from demoplan.pipeline.episodes import activities
+    from demoplan.pipeline.episodes import activities, segmenters
 
     opened = open_dataset(DATASET)
     state = ingesting.ingest_episode(job)
-    chosen = {state.episode_id: activities.rules()}
+    chosen = {state.episode_id: segmenters.rules()}
     given = []
 
     def crew(work, orders):

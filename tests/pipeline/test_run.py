@@ -62,20 +62,20 @@ def test_each_episode_has_every_table_and_they_fit_together(finished):
 
 
 def test_an_episode_is_segmented_by_what_never_saw_its_participant(finished, monkeypatch):
-    from demoplan.pipeline.episodes import activities
+    from demoplan.pipeline.episodes import segmenters
 
     opened, store, result = finished
     seen = {}
-    original = activities.trained
+    original = segmenters.trained
 
     def watched(opened, store, states, params):
         chosen = original(opened, store, states, params)
         seen[chosen.content] = {opened.episode(s.episode_id).participant for s in states}
         return chosen
 
-    monkeypatch.setattr(activities, "trained", watched)
-    segmenters = activities.segmenters_for(opened, store, result.states, "decision_tree")
-    for episode_id, chosen in segmenters.items():
+    monkeypatch.setattr(segmenters, "trained", watched)
+    found = segmenters.segmenters_for(opened, store, result.states, "decision_tree")
+    for episode_id, chosen in found.items():
         assert opened.episode(episode_id).participant not in seen[chosen.content]
 
 

@@ -11,21 +11,19 @@ from demoplan.pipeline.crews import Crew, Processes
 from demoplan.pipeline.datasets import OpenDataset, remember
 from demoplan.pipeline.domains.learning import Learned
 from demoplan.pipeline.domains.study import COMBINED, Tried, learn_all, try_goals
-from demoplan.pipeline.episodes.activities import (
-    MAJORITY,
+from demoplan.pipeline.episodes.activities import MAJORITY, segment_dataset, segment_episodes
+from demoplan.pipeline.episodes.episode_tables import tables_of
+from demoplan.pipeline.episodes.ingest import ingest_dataset
+from demoplan.pipeline.episodes.segment_stages import ChosenSegmenter
+from demoplan.pipeline.episodes.segmenters import (
     METHODS,
     RULE_TREES,
     groups_of,
     rules,
-    segment_dataset,
-    segment_episodes,
     segmenters_for,
-    tables_of,
     trained,
     usable,
 )
-from demoplan.pipeline.episodes.ingest import ingest_dataset
-from demoplan.pipeline.episodes.segment_stages import ChosenSegmenter
 from demoplan.pipeline.reporting import Progress, silent
 from demoplan.stages.learn import LearnParams
 from demoplan.stages.missing import rank_missing

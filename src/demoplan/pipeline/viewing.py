@@ -12,8 +12,8 @@ from demoplan.ids import content_hash
 from demoplan.language.vocabulary import Vocabulary
 from demoplan.pipeline.datasets import OpenDataset, recall
 from demoplan.pipeline.domains.learning import stored_domain
-from demoplan.pipeline.episodes.activities import RULE_TREES, entity_types, read_segmenter, rules
 from demoplan.pipeline.episodes.segment_stages import ChosenSegmenter
+from demoplan.pipeline.episodes.segmenters import RULE_TREES, entity_types, read_segmenter, rules
 from demoplan.pipeline.execution.run_views import record_run
 from demoplan.stages.segment.explaining import explain
 from demoplan.store import EpisodeState, Store

@@ -17,7 +17,7 @@ from demoplan.language.pddl import domain_id, parse_domain, render_domain
 from demoplan.language.vocabulary import Vocabulary
 from demoplan.pipeline.crews import Crew, Processes
 from demoplan.pipeline.domains.counting import MANY, learn_many
-from demoplan.pipeline.episodes.activities import tables_of
+from demoplan.pipeline.episodes.episode_tables import tables_of
 from demoplan.stages.compose import compose, support_of
 from demoplan.stages.learn import LearnParams, Retyping, learn, learn_splitting_types
 from demoplan.store import DomainVersion, EpisodeState, Store

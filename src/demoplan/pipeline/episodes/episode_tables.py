@@ -1,4 +1,4 @@
-"""The tables of one episode, while stages make them one from another."""
+"""The tables of one episode, while stages make them one from another; and those of several, joined."""
 
 import contextlib
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -9,7 +9,7 @@ import polars as pl
 
 from demoplan.ids import ContentHash
 from demoplan.pipeline.episodes.memory import give_memory_back
-from demoplan.store import Store, stage_key
+from demoplan.store import EpisodeState, Store, stage_key
 from demoplan.store.code_version import code_version
 from demoplan.store.objects import ROWS_AT_ONCE, Draft, Table
 from demoplan.store.store import StageOutput
@@ -98,3 +98,10 @@ class EpisodeTables:
     def parts(self, name: str, schema: type[Table]) -> Iterator[dy.DataFrame[Table]]:
         """A long table of this episode, some rows at a time."""
         return self.store.objects.parts(ContentHash(self.contents[name]), schema)
+
+
+def tables_of(
+    store: Store, states: Sequence[EpisodeState], name: str, schema: type[Table]
+) -> dy.DataFrame[Table]:
+    """One table of several episodes, joined in order of episode."""
+    return schema.cast(store.joined([s.tables[name] for s in states if name in s.tables], schema))

@@ -16,14 +16,10 @@ from demoplan.pipeline.domains.learning import (
     params_of,
     stored_domain,
 )
-from demoplan.pipeline.episodes.activities import (
-    read_segmenter,
-    segment_episodes,
-    trained,
-    training_of,
-)
+from demoplan.pipeline.episodes.activities import segment_episodes
 from demoplan.pipeline.episodes.ingest import ingest
 from demoplan.pipeline.episodes.segment_stages import ChosenSegmenter
+from demoplan.pipeline.episodes.segmenters import read_segmenter, trained, training_of
 from demoplan.pipeline.reporting import Progress, silent
 from demoplan.pipeline.upkeep.staleness import DatasetPlan, Staleness, StalePlan
 from demoplan.store import EpisodeState, Store

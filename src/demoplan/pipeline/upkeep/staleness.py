@@ -11,19 +11,19 @@ from demoplan.errors import DemoplanError, LogError, ManifestError, StoreError, 
 from demoplan.ids import ContentHash
 from demoplan.pipeline.datasets import OpenDataset, recall, remembered, reopen, segmenter_of
 from demoplan.pipeline.domains.learning import learn_call, params_of
-from demoplan.pipeline.episodes.activities import (
-    read_segmenter,
-    recipe_of,
-    stored_segmenter,
-    training_key,
-    training_of,
-    usable,
-)
+from demoplan.pipeline.episodes.activities import recipe_of
 from demoplan.pipeline.episodes.episode_stages import IngestJob, jobs_of, log_hash, run_stages
 from demoplan.pipeline.episodes.episode_tables import EpisodeTables
 from demoplan.pipeline.episodes.ingest import stands
 from demoplan.pipeline.episodes.seen import SeenLogs
 from demoplan.pipeline.episodes.segment_stages import ChosenSegmenter, contrast_stage, segment_stage
+from demoplan.pipeline.episodes.segmenters import (
+    read_segmenter,
+    stored_segmenter,
+    training_key,
+    training_of,
+    usable,
+)
 from demoplan.pipeline.upkeep.reasons import PENDING, reason_of
 from demoplan.store import EpisodeState, Store, stage_key
 from demoplan.store.code_version import code_version

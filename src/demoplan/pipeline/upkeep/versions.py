@@ -12,8 +12,9 @@ from demoplan.pipeline.domains.learning import (
     params_of,
     stored_domain,
 )
-from demoplan.pipeline.episodes.activities import segment_dataset, segmenters_for
+from demoplan.pipeline.episodes.activities import segment_dataset
 from demoplan.pipeline.episodes.ingest import ingest_dataset
+from demoplan.pipeline.episodes.segmenters import segmenters_for
 from demoplan.pipeline.reporting import Progress, silent
 from demoplan.store import EpisodeState, Store
 
