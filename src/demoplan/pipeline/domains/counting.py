@@ -59,11 +59,17 @@ class Counted:
 
 @dataclass(frozen=True, kw_only=True)
 class Recipe:
-    """What transitions are counted with."""
+    """What transitions are counted with, and learned from."""
 
     types: TypeHierarchy
     predicates: tuple[Signature, ...]
     params: LearnParams
+
+    @classmethod
+    def of(cls, vocabulary: Vocabulary, params: LearnParams) -> "Recipe":
+        """What is learned in a vocabulary's words."""
+        predicates = tuple(rule.signature for rule in vocabulary.predicates)
+        return cls(types=vocabulary.types, predicates=predicates, params=params)
 
     @cached_property
     def settings(self) -> str:
@@ -120,15 +126,14 @@ def learn_many(
     Raises:
         DemoplanError: If whoever counted some buckets died, again and again.
     """
-    predicates = tuple(rule.signature for rule in vocabulary.predicates)
-    recipe = Recipe(types=vocabulary.types, predicates=predicates, params=params)
+    recipe = Recipe.of(vocabulary, params)
     sample = sorted(states, key=lambda state: content_hash(state.episode_id))[:SAMPLE]
     survey = _survey(store, recipe, Bucket.of(sample))
     if survey.notes[_IS_MENDED] == "true":
         transitions = Bucket.of(states).transitions(store)
-        return learn(transitions, vocabulary.types, predicates, params)
+        return learn(transitions, recipe.types, recipe.predicates, params)
     found = count_buckets(store, recipe, [Bucket.of(members) for members in buckets_of(states)], crew)
-    learned = learn_from_sightings(found.sightings, found.patterns, vocabulary.types, predicates, params)
+    learned = learn_from_sightings(found.sightings, found.patterns, recipe.types, recipe.predicates, params)
     return learned._replace(findings=store.get(survey.outputs["findings"], Findings))
 
 

@@ -9,14 +9,13 @@ import dataframely as dy
 import polars as pl
 
 from demoplan.errors import UsageError
-from demoplan.ids import content_hash
 from demoplan.language.diff import Change, diff
 from demoplan.language.domains import Domain
 from demoplan.language.invariants import ExclusiveGroup, parse_group
 from demoplan.language.pddl import domain_id, parse_domain, render_domain
 from demoplan.language.vocabulary import Vocabulary
 from demoplan.pipeline.crews import Crew, Processes
-from demoplan.pipeline.domains.counting import MANY, learn_many
+from demoplan.pipeline.domains.counting import MANY, Bucket, Recipe, learn_many
 from demoplan.pipeline.episodes.episode_tables import tables_of
 from demoplan.stages.compose import compose, support_of
 from demoplan.stages.learn import LearnParams, Retyping, learn, learn_splitting_types
@@ -125,14 +124,9 @@ def learn_call(
 ) -> tuple[dict[str, str], str, str]:
     """Inputs, parameters and code version that name what learning from these episodes gives."""
     ordered = sorted(states, key=lambda state: state.episode_id)
-    settings = {
-        "params": asdict(params),
-        "types": vocabulary.types.parents,
-        "predicates": [asdict(rule.signature) for rule in vocabulary.predicates],
-    }
     return (
-        {"transitions": content_hash(*(f"{s.episode_id}={s.tables['transitions']}" for s in ordered))},
-        canonical_json(settings),
+        {"transitions": Bucket.of(ordered).key},
+        Recipe.of(vocabulary, params).settings,
         code_version("demoplan.stages.learn.counting", "demoplan.stages.compose"),
     )
 

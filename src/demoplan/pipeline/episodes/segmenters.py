@@ -12,9 +12,7 @@ from demoplan.manifests.loading import read_text
 from demoplan.pipeline.datasets import OpenDataset
 from demoplan.pipeline.episodes.episode_tables import tables_of
 from demoplan.pipeline.episodes.orders import types_of_entities
-from demoplan.pipeline.episodes.segment_stages import (
-    ChosenSegmenter,
-)
+from demoplan.pipeline.episodes.segment_stages import ChosenSegmenter
 from demoplan.stages.segment import (
     PUBLISHED_RULES,
     RULES,
